@@ -124,6 +124,13 @@ def id_columns(answer: Answer, packed: Packed) -> list[Column]:
     return [(name, ids, number) for name, ids, number in columns if ids is not None]
 
 
+def named_prims(scene: Scene, packed: Packed, prims: Array) -> list[tuple[str, int]]:
+    """(name of the shape, number within it) of each primitive."""
+    names = scene.shape_names()
+    pairs = zip(packed.shape_of(prims), packed.index_in_shape(prims), strict=True)
+    return [(names[shape], int(number)) for shape, number in pairs]
+
+
 def exact_ratios(
     answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
 ) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.tolerances import (
     SEPARATES,
     SEPARATOR_CHANCE,
 )
-from mitsuba_ref.judge.adjudication import id_columns, sample_rows
+from mitsuba_ref.judge.adjudication import id_columns, named_prims, sample_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
@@ -285,9 +285,8 @@ def _outline_text(f: WrongPixels) -> str:
             nearest.append(prims[beyond.argmin()])
     if len(distances) < NEARLY_ALL * len(few.rows):
         return ""
-    packed, first = judge.model.packed, np.array(nearest[:1])
-    name = judge.scene.shape_names()[int(packed.shape_of(first)[0])]
-    where = f"by {range_text(np.array(distances))} (first: {name}, prim {packed.index_in_shape(first)[0]})"
+    name, number = named_prims(judge.scene, judge.model.packed, np.array(nearest))[0]
+    where = f"by {range_text(np.array(distances))} (first: {name}, prim {number})"
     return f", beyond the outline of a triangle, on its plane, {where}"
 
 
@@ -379,12 +378,11 @@ def _by_prims(judge: Judge, prim: Array, wrong: Array) -> Iterator[str]:
     If the m wrong ones of n pixels had nothing to do with primitives, a further pixel of a wrong primitive would be
     wrong as well with probability m / n.
     """
-    packed, named = judge.model.packed, np.unique(prim[wrong])
+    named = np.unique(prim[wrong])
     flags, further = np.isin(prim, named), int(wrong.sum()) - len(named)
     if 0 < len(named) <= MAX_NAMED_PRIMS and wrong.mean() ** further <= SEPARATOR_CHANCE and not (flags & ~wrong).any():
-        names = judge.scene.shape_names()
-        numbers = zip(packed.shape_of(named), packed.index_in_shape(named), strict=True)
-        words = " or ".join(f"{names[shape]}, prim {number}," for shape, number in numbers)
+        surfaces = named_prims(judge.scene, judge.model.packed, named)
+        words = " or ".join(f"{name}, prim {number}," for name, number in surfaces)
         yield _where_text(f"{words} is hit", flags, wrong)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG, TIE, UNLISTED
@@ -133,12 +134,8 @@ class TieMember(NamedTuple):
 
 def tie_members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[TieMember]:
     """The exact tie set in the scene's own names."""
-    shapes, numbers = packed.shape_of(answer.prims), packed.index_in_shape(answer.prims)
-    names = scene.shape_names()
-    return [
-        TieMember(names[shape], int(number), hit.where)
-        for shape, number, hit in zip(shapes, numbers, answer.ties, strict=True)
-    ]
+    named = zip(named_prims(scene, packed, answer.prims), answer.ties, strict=True)
+    return [TieMember(*surface, hit.where) for surface, hit in named]
 
 
 def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None, *, with_t: bool = True) -> str:

@@ -20,7 +20,7 @@ from caster.system.terminal import folded
 from mitsuba_ref.error_model.bounds import aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
-from mitsuba_ref.judge.adjudication import ratio_to_bound
+from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of, reference_prims
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import (
@@ -110,8 +110,7 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
     """(shape, number within the shape) of a primitive of the scene."""
     if prim < 0:
         return "miss", -1
-    packed, which = judge.model.packed, np.array([prim])
-    return judge.scene.shape_names()[int(packed.shape_of(which)[0])], int(packed.index_in_shape(which)[0])
+    return named_prims(judge.scene, judge.model.packed, np.array([prim]))[0]
 
 
 def _of_mitsuba(
@@ -482,16 +481,14 @@ def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
 
 def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
     """All primitives that the reference may hit, nearest first."""
-    rays, bracket, packed = judge.pair.rays, judge.reference_bracket, judge.model.packed
+    rays, bracket = judge.pair.rays, judge.reference_bracket
     t_max = rays.t_max.astype(np.float64)
     found = bracket.possible_hits(rays.o.astype(np.float64), rays.d.astype(np.float64), t_max)
     certain = np.isfinite(latest_hits(found, t_max))
-    shape, prim = packed.shape_of(found.prim), packed.index_in_shape(found.prim)
-    names = scene.shape_names()
+    surfaces = named_prims(scene, judge.model.packed, found.prim)
     for i in np.argsort(found.at.t, kind="stable"):
-        yield PossibleHit(
-            names[shape[i]], int(prim[i]), float(found.at.t[i]), float(found.at.t_error[i]), bool(certain[i])
-        )
+        shape, prim = surfaces[i]
+        yield PossibleHit(shape, prim, float(found.at.t[i]), float(found.at.t_error[i]), bool(certain[i]))
 
 
 def _numbers(values: Any) -> Any:

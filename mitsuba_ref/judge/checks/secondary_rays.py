@@ -17,6 +17,7 @@ from mitsuba_ref.error_model.intersections import Array, Intersections, cross, d
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check, worst_share
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure, scene_of_ray
 from mitsuba_ref.oracle.oracle import Oracle
@@ -202,10 +203,10 @@ class OriginFindings(NamedTuple):
     def example(self, row: int) -> str:
         """One wrong ray in words."""
         names = [name for i, name in enumerate(FINDINGS) if self.found[row] & (1 << i)]
-        between, ray, packed = self.between[row : row + 1], self.leaving.rays.rows(row), self.leaving.packed
+        between, ray = self.between[row : row + 1], self.leaving.rays.rows(row)
         p, w, q = (", ".join(map(repr, each.tolist())) for each in (ray.p, ray.w, ray.q))
-        shape, prim = (int(of(between)[0]) for of in (packed.shape_of, packed.index_in_shape))
-        skipped = f" ({self.leaving.scene.shape_names()[shape]}, prim {prim})" if between[0] >= 0 else ""
+        ((shape, prim),) = named_prims(self.leaving.scene, self.leaving.packed, between)
+        skipped = f" ({shape}, prim {prim})" if between[0] >= 0 else ""
         return f"{' and '.join(names)}{skipped}: at ({p}) towards ({w}), starts at ({q})"
 
 
