@@ -187,7 +187,10 @@ class Judge:
         for check in self.pixels.self_checks.values():
             classes[check.fails & self.consistent] = CODE.wrong
         classes[exact.rows[~exact.answered]] = CODE.undecided
-        self._classify_inexact(classes, exact)
+        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
+        classes[rows] = CODE.wrong  # unless its own rounding allows the answer
+        classes[rows[lost]] = CODE.out_of_domain
+        classes[rows[allowed]] = CODE.explained
         classes[broken | ((self.t_max < 0.0) & self.hit)] = CODE.wrong
 
         # Step 4: light, where the subject gives it.
@@ -304,13 +307,6 @@ class Judge:
         answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
         tied = allowed & ~useless & names_other_tie(self.model.packed, claims.shape, answers)
         classes[rows[tied]] = CODE.tie
-
-    def _classify_inexact(self, classes: Array, exact: Adjudication) -> None:
-        """Classify pixels where the subject is not exactly right: wrong, unless its own rounding allows the answer."""
-        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
-        classes[rows] = CODE.wrong
-        classes[rows[lost]] = CODE.out_of_domain
-        classes[rows[allowed]] = CODE.explained
 
     def _within_rounding(self, exact: Adjudication) -> tuple[Array, Array]:
         """(m,) bool each, at the adjudicated rows where the subject is not exactly right.
