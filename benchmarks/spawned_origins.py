@@ -15,7 +15,7 @@ import numpy as np
 
 from caster.rendering.bounces import bounces
 from caster.scene.model import Scene
-from mitsuba_ref.judge.checks.spawned_origins import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, rays_of_bounce
+from mitsuba_ref.judge.checks.secondary_rays import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, rays_of_bounce
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import OriginJudge
 from mitsuba_ref.reference.mitsuba_process import send_request

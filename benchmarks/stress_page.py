@@ -20,8 +20,7 @@ from pages import WIDTH, markdown, read_result, write_page
 
 from mitsuba_ref.stress import origins, sweeps
 from mitsuba_ref.stress.origins import OriginSweep
-from mitsuba_ref.stress.score import CASTERS, OURS, Score
-from mitsuba_ref.stress.sweeps import SettingResult, StressRun, SweepResult
+from mitsuba_ref.stress.sweeps import CASTERS, OURS, Score, SettingResult, StressRun, SweepResult
 
 PAGE, IMAGE_FOLDER = "stress.md", "stress"
 

@@ -16,7 +16,7 @@ import caster
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import read_exr, write_exr
 from mitsuba_ref import render_reference
-from mitsuba_ref.exr_compare.flip import flip
+from mitsuba_ref.exr_compare.comparison_page import flip
 from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.report.results import plural
 

@@ -12,7 +12,7 @@ from caster.system import runs_here as _runs_here
 if TYPE_CHECKING:
     from caster.description.errors import SceneError
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
-    from mitsuba_ref.judge.film import FailingPixel
+    from mitsuba_ref.judge.aggregate import FailingPixel
     from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
     from mitsuba_ref.python_api import export_xml, judge_hits, probe_pixel, validate
     from mitsuba_ref.reference.messages import MitsubaError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "CLASSES": ".judge.verdict",
-    "FailingPixel": ".judge.film",
+    "FailingPixel": ".judge.aggregate",
     "MitsubaError": ".reference.messages",
     "Reading": ".exr_compare.two_files",
     "SceneError": "caster.description.errors",

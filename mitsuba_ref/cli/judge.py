@@ -19,7 +19,7 @@ from mitsuba_ref.cli.options import given_words, load_scene_or_original
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.hard import rays
-from mitsuba_ref.judge.checks.spawned_origins import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, leaving_rays
+from mitsuba_ref.judge.checks.secondary_rays import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays

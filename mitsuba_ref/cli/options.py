@@ -66,7 +66,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     if args.no_limits and not isinstance(found, RayProgram):
         raise SceneError("--no-limits: expected a program that reads rays with limits: {rays} or --candidate-serve")
     if isinstance(found, RayProgram):
-        return replace(found, limits=not args.no_limits)
+        return replace(found, takes_limits=not args.no_limits)
     if isinstance(found, CommandSubject | ExrFile):
         return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
     for word in given_words(args, *READING_OPTIONS)[:1]:

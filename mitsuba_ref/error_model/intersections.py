@@ -7,6 +7,8 @@ import numpy as np
 
 from mitsuba_ref.oracle.interface import ExactKind
 
+Array = np.ndarray
+
 # Decorators of functions in which infinite numbers are answers like others, which comparisons sort out.
 without_float_warnings = np.errstate(all="ignore")  # where a NaN is an answer: of a miss, or of no answer
 without_overflow_warnings = np.errstate(over="ignore", divide="ignore")  # a NaN is a fault

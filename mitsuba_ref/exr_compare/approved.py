@@ -17,6 +17,7 @@ from caster.image.exr import Exr, UnreadableExr, read_exr, write_exr
 from caster.scene.model import Scene
 from caster.system.process import DIFFERENCES, FILE
 from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.tolerances import COLOR_RTOL, KU, Tolerances
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, SCENE_JSON
@@ -108,7 +109,7 @@ def render_fresh(scene: Scene, path: str, timeout: float) -> Exr | Crash:
     return Exr(channels, about, scene.film.window, (0, 0, scene.film.width, scene.film.height))
 
 
-def _stored(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _stored(channels: dict[str, Array]) -> dict[str, Array]:
     """The types that an EXR file holds."""
     return {name: plane if plane.dtype == np.uint32 else plane.astype(np.float32) for name, plane in channels.items()}
 
@@ -156,7 +157,8 @@ def check_ours(scene: Scene, approved: Exr, names: tuple[str, str]) -> FileCompa
     if any(scene.textures):
         reason = "approved images have no uv to bound the colours of textures by; use validate"
         return FileComparison(ours=names[0], reference=names[1], reasons=(reason,))
-    ambiguous, hit = _ambiguous(approved), approved.channels["A"] != 0.0
+    ambiguous = np.isin(approved.channels[CLASS_CHANNEL], AMBIGUOUS_CLASSES)
+    hit = approved.channels["A"] != 0.0
     if hit.any() and not (hit & ~ambiguous).any():
         reason = f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit"
         return FileComparison(ours=names[0], reference=names[1], exit_code=DIFFERENCES, reasons=(reason,))
@@ -171,7 +173,7 @@ def check_ours(scene: Scene, approved: Exr, names: tuple[str, str]) -> FileCompa
     return compare_images(approved._replace(channels=shown), approved, tolerances, names=names, stated=stated)
 
 
-def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, np.ndarray, np.ndarray]:
+def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, Array, Array]:
     """Our AOVs, and whether the geometry and the light of each pixel (h, w) are within the bounds of `validate`."""
     response = request_answer(OURS, scene)
     answer, ours = response.answer, response.answer.images
@@ -186,12 +188,7 @@ def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, np.ndarray, np.ndarra
     return ours, geometry.reshape(ours.hit.shape), light.reshape(ours.hit.shape)
 
 
-def _ambiguous(image: Exr) -> np.ndarray:
-    """(h, w) bool: where more than one answer was right on approval."""
-    return np.isin(image.channels[CLASS_CHANNEL], AMBIGUOUS_CLASSES)
-
-
-def _lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.ndarray:
+def _lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> Array:
     """(n,) bool: both values of diffuse are within the error of all lights, whether in shadow or not."""
     rows = np.flatnonzero(pixels.both_hit)
     there = ShadingPoints(hit.p[rows], hit.d[rows], hit.shape[rows], hit.at.take(rows))

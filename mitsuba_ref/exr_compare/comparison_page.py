@@ -1,5 +1,6 @@
 """`compare --html`: two images on the page of a report, with measures of other tools as information."""
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,10 +9,12 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.image.exr import NO_ID
+from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult
-from mitsuba_ref.exr_compare.flip import flip
-from mitsuba_ref.exr_compare.pixel_bounds import Array, ExrPair
+from mitsuba_ref.exr_compare.pixel_bounds import ExrPair
 from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.html_report import (
     MAX_PIXELS,
     index_row,
@@ -64,6 +67,38 @@ def measures(pair: ExrPair, layers: Mapping[str, Layer]) -> Iterator[tuple[str, 
         yield f"{name}: largest difference", f"{apart.max():.3g} at ({x0 + x}, {y0 + y})"
         if layer.colors:
             yield f"{name}: FLIP, mean", flip(layer.ours, layer.reference)
+
+
+# ---- FLIP of NVIDIA (flip-evaluator), a measure of the difference between two images that an observer sees ----
+
+# In a process of its own, since the library ends the process for images that it cannot judge, such as black ones.
+FLIP_PROGRAM = """
+import sys
+import numpy as np
+import flip_evaluator
+a, b = np.load(sys.argv[1]), np.load(sys.argv[2])
+print(flip_evaluator.evaluate(b, a, "HDR", applyMagma=False)[1])
+"""
+FLIP_SECONDS = 300.0
+FLIP_MISSING = "not computed; pip install flip-evaluator"
+
+
+def flip(ours: np.ndarray, reference: np.ndarray) -> str:
+    """The mean of FLIP for linear colours (h, w, 3), or why it is not known."""
+    if not (np.isfinite(ours).all() and np.isfinite(reference).all()):
+        return "not computed: a value is not finite"
+    with ScratchFolder() as folder:
+        paths = [str(Path(folder) / name) for name in ("ours.npy", "reference.npy")]
+        for path, colors in zip(paths, (ours, reference), strict=True):
+            np.save(path, np.maximum(colors, 0.0).astype(np.float32))
+        end = subprocess_runner.run([sys.executable, "-c", FLIP_PROGRAM, *paths], FLIP_SECONDS)
+    words = end.output.strip().splitlines()[-1:] or [""]
+    if end.code == 0:
+        return f"{float(words[0]):.4g}"
+    return FLIP_MISSING if "No module named 'flip_evaluator'" in words[0] else f"not computed: {words[0]}"
+
+
+# ---- the page ----
 
 
 def remove_page(folder: Path) -> None:

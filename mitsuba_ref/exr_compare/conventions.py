@@ -16,8 +16,9 @@ from caster.image.exr_validation import PROVENANCE_PREFIX
 from caster.scene.model import Scene
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import NEARLY_ALL
-from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, scene_in, stacked, view_of
+from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, scene_in, stacked, view_of
 from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer
 
@@ -101,7 +102,12 @@ def our_names(channels: Iterable[str], maps: Iterable[str]) -> dict[str, str]:
     left -= own.keys()
     for group in (group for group in NAMES if group not in groups):
         ours = LAYERS[group]
-        layers = [channels for name, channels in _layers(left, len(ours)) if _is_called(name.casefold(), NAMES[group])]
+        ends = tuple(f".{word}" for word in NAMES[group] if len(word) > 2)
+        layers = [
+            channels
+            for name, channels in _layers(left, len(ours))
+            if name.casefold() in NAMES[group] or name.casefold().endswith(ends)
+        ]
         if layers and (len(layers) > 1 or ours[0] in own):
             known = [ours] if ours[0] in own else []
             shown = [each[0] if len(each) == 1 else each[0].rpartition(".")[0] for each in (*known, *layers)]
@@ -120,10 +126,6 @@ def _layers(names: Iterable[str], size: int) -> Iterator[tuple[str, tuple[str, .
             channels = tuple(f"{layer}.{c}" for c in letters)
             if len(letters) == size and names.issuperset(channels):
                 yield layer, channels
-
-
-def _is_called(name: str, words: Sequence[str]) -> bool:
-    return any(name == word or (len(word) > 2 and name.endswith("." + word)) for word in words)
 
 
 def mapped(options: Iterable[str], names: Iterable[str]) -> dict[str, str]:

@@ -21,6 +21,7 @@ from caster.image.exr_info import hit_mask
 from caster.scene.model import Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import CameraRays
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import (
     COLOR_RTOL,
     DEPTH_RTOL,
@@ -36,7 +37,6 @@ from mitsuba_ref.error_model.tolerances import (
 )
 from mitsuba_ref.reference.shared_input import pixel_centers
 
-Array = np.ndarray
 Bound = tuple[Array, str]  # (h, w, c), and the text that states it
 
 # Group -> channels. Other channels are judged like colours, or exactly if uint.

@@ -13,6 +13,8 @@ from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr, read_exr, write_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import Tolerances
 from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare.comparison_result import (
@@ -27,7 +29,7 @@ from mitsuba_ref.exr_compare.comparison_result import (
     Worst,
 )
 from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, is_ours, to_our_conventions
-from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, Array, ExrPair, bound_of, scene_in
+from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, ExrPair, bound_of, scene_in
 from mitsuba_ref.report.evidence import clipped_to_float32
 
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
@@ -250,12 +252,10 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     )
     broken = (~np.isfinite(a) & ~far_a) | (~np.isfinite(b) & ~far_b) | ((far_a != far_b) & where)
     with np.errstate(invalid="ignore"):  # inf - inf and NaN: both are in `broken`, or both images miss
-        within = (np.abs(a - b) <= bound) | (far_a & far_b)
-    wrong = ~within & ~broken & where  # "not within", so that a NaN can never pass as "not beyond"
-    with np.errstate(all="ignore"):
         error = np.abs(a - b)
-        ratio = np.where(error == 0.0, 0.0, error / bound)
-    ratio = np.where((where & ~(far_a & far_b)) | broken, np.nan_to_num(ratio, nan=np.inf), 0.0)
+    within = (error <= bound) | (far_a & far_b)
+    wrong = ~within & ~broken & where  # "not within", so that a NaN can never pass as "not beyond"
+    ratio = np.where((where & ~(far_a & far_b)) | broken, error_over_bound(error, bound), 0.0)
     worst = _worst(pair, names, ratio, {"ours": a, "reference": b, "error": error, "bound": bound})
     broken = broken.any(-1)
     differ = wrong.any(-1) & ~broken

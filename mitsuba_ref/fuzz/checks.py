@@ -181,18 +181,16 @@ def compare_with_mitsuba(
         return [Finding("crash" if subject is OURS else "answer", verdict.problem)]
     if subject is not OURS and not (verdict.counts[WRONG] or verdict.counts[UNDECIDED]):
         return []
-    return _findings_of(verdict, scene, shared) if verdict.failing or not verdict.checks_pass else []
-
-
-def _findings_of(verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> list[Finding]:
-    """Failing checks, of our caster alone, and failing pixels."""
-    made = () if verdict.candidate else verdict.checks
-    checks = [
-        Finding("judged", f"{each.name}: {each.ratio:.3g} times its bound; {each.what}", detail=each.name)
-        for each in made
-        if not each.ok
+    if not verdict.failing and verdict.checks_pass:
+        return []
+    failing = [each for each in verdict.checks if subject is OURS and not each.ok]
+    return [
+        *(
+            Finding("judged", f"{each.name}: {each.ratio:.3g} times its bound; {each.what}", detail=each.name)
+            for each in failing
+        ),
+        *(_finding_of(each, verdict, scene, shared) for each in verdict.failures),
     ]
-    return [*checks, *(_finding_of(each, verdict, scene, rays) for each in verdict.failures)]
 
 
 def _finding_of(failure: Failure, verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> Finding:

@@ -14,7 +14,7 @@ from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
-from mitsuba_ref.error_model.intersections import Intersections, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, Intersections, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
@@ -30,23 +30,23 @@ ADJUDICATION_SEED = 2
 class Adjudication:
     """Exact answers at some pixels, and the subject's errors; one row for each adjudicated pixel."""
 
-    rows: np.ndarray  # (m,) of the image, ascending
+    rows: Array  # (m,) of the image, ascending
     answers: Sequence[ExactAnswer | None]  # m of them; None: the oracle gave none
-    ratio: np.ndarray  # (m,) the subject's error over its bound; inf where hit, miss or primitive is another
-    of_first: np.ndarray  # (m,) bool: it has the first member of the tie set, or nothing is hit
+    ratio: Array  # (m,) the subject's error over its bound; inf where hit, miss or primitive is another
+    of_first: Array  # (m,) bool: it has the first member of the tie set, or nothing is hit
 
     @property
-    def answered(self) -> np.ndarray:
+    def answered(self) -> Array:
         """(m,) bool."""
         return np.array([answer is not None for answer in self.answers], bool)
 
     @property
-    def right(self) -> np.ndarray:
+    def right(self) -> Array:
         """(m,) bool: the subject has the exact answer."""
         return self.answered & (self.ratio <= 1.0)
 
     @property
-    def wrong(self) -> np.ndarray:
+    def wrong(self) -> Array:
         """(m,) bool: the subject has another answer."""
         return self.answered & ~(self.ratio <= 1.0)
 
@@ -60,14 +60,14 @@ class Adjudication:
         i = self.place.get(int(row))
         return None if i is None else self.answers[i]
 
-    def first_hits(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def first_hits(self, rows: Array) -> tuple[Array, Array]:
         """(m,) primitive and t of the exact answer at some rows; -1 and inf on a miss, or if it is not known."""
         answers = [self.of(row) for row in rows]
         prim = np.array([-1 if answer is None else answer.prim for answer in answers], np.int64)
         return prim, np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
 
 
-def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def needs_adjudication(plain: Array, hit: Array, certain: Array, shape: tuple[int, int]) -> Array:
     """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.
 
     plain, hit, certain: (n,) bool; the pixel agrees, the subject hits, the reference certainly hits. shape: (h, w).
@@ -78,15 +78,13 @@ def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, 
     return np.flatnonzero(chosen)
 
 
-def sample_rows(rows: np.ndarray, count: int) -> np.ndarray:
+def sample_rows(rows: Array, count: int) -> Array:
     """At most `count` of these rows, chosen by a fixed seed, ascending."""
     chosen = np.random.default_rng(ADJUDICATION_SEED).choice(rows, min(count, len(rows)), replace=False)
     return np.sort(chosen)
 
 
-def oracle_answers(
-    oracle: Oracle, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: np.ndarray
-) -> Sequence[ExactAnswer | None]:
+def oracle_answers(oracle: Oracle, o: Array, d: Array, t_max: Array, t_min: Array) -> Sequence[ExactAnswer | None]:
     """The exact answer to each ray; None for a ray that the oracle cannot answer."""
     try:
         return oracle.first_hits(o, d, t_min, t_max)
@@ -100,7 +98,7 @@ def oracle_answers(
 def claims_of(answer: Answer, packed: Packed) -> Claims:
     """The claims of a subject: hits, with shape, primitive and normal if it gives them; no positions."""
     shapes = len(packed.parts)
-    named: np.ndarray | int = ANY_SHAPE
+    named: Array | int = ANY_SHAPE
     if answer.shape_id is not None:  # `shapes`: none there is
         named = np.where((answer.shape_id >= 0) & (answer.shape_id < shapes), answer.shape_id, shapes)
     shape, prim = np.where(answer.hit, named, CLAIMED_MISS), answer.prim_id
@@ -110,15 +108,15 @@ def claims_of(answer: Answer, packed: Packed) -> Claims:
 
 
 # (m,) indices of pixels, (m,) primitives, (m,) t -> the intersections as the subject may see them
-IntersectionsNear = Callable[[np.ndarray, np.ndarray, np.ndarray], Intersections]
+IntersectionsNear = Callable[[Array, Array, Array], Intersections]
 
 
-Column = tuple[str, np.ndarray, Callable[[np.ndarray], np.ndarray]]
+Column = tuple[str, Array, Callable[[Array], Array]]
 
 
 def id_columns(answer: Answer, packed: Packed) -> list[Column]:
     """(name, (n,) the subject's numbers, primitives of the scene -> the right numbers) of each column that is given."""
-    columns: tuple[tuple[str, np.ndarray | None, Callable[[np.ndarray], np.ndarray]], ...] = (
+    columns: tuple[tuple[str, Array | None, Callable[[Array], Array]], ...] = (
         ("shape", answer.shape_id, packed.shape_of),
         ("primitive", answer.prim_id, packed.index_in_shape),
         ("primitive", answer.prim, lambda prim: prim),
@@ -126,9 +124,16 @@ def id_columns(answer: Answer, packed: Packed) -> list[Column]:
     return [(name, ids, number) for name, ids, number in columns if ids is not None]
 
 
+def named_prims(scene: Scene, packed: Packed, prims: Array) -> list[tuple[str, int]]:
+    """(name of the shape, number within it) of each primitive."""
+    names = scene.shape_names()
+    pairs = zip(packed.shape_of(prims), packed.index_in_shape(prims), strict=True)
+    return [(names[shape], int(number)) for shape, number in pairs]
+
+
 def exact_ratios(
     answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """(m,) a subject's error over its bound, and whether it has the first member of the tie set; answer: to m pixels.
 
     Of a subject with exact visibility, the first member alone is right; of others every member, and the best one
@@ -164,14 +169,14 @@ def exact_ratios(
 
 
 @without_float_warnings
-def ratio_to_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def ratio_to_bound(error: Array, bound: Array) -> Array:
     """error / bound; 0 where the bound is infinite, inf where the error is no number."""
     ratio = np.where(error == 0.0, 0.0, error / bound)
     ratio = np.where(np.isposinf(bound) & np.isfinite(error), 0.0, ratio)
     return np.where(np.isnan(ratio), np.inf, ratio)
 
 
-def names_other_tie(packed: Packed, shape: np.ndarray, answers: Sequence[ExactAnswer | None]) -> np.ndarray:
+def names_other_tie(packed: Packed, shape: Array, answers: Sequence[ExactAnswer | None]) -> Array:
     """(m,) bool: shape[i] has a member of the exact tie set other than the first."""
     named = zip(shape.tolist(), answers, strict=True)
     return np.array([a is not None and each in packed.shape_of(a.prims[1:]) for each, a in named], bool)
@@ -187,15 +192,15 @@ class PreparedScene:
     scene: Scene
     packed: Packed
     model: SceneModel
-    o: np.ndarray  # (n, 3) float32
-    d: np.ndarray  # (n, 3) float32
+    o: Array  # (n, 3) float32
+    d: Array  # (n, 3) float32
 
     @property
     def primitives(self) -> int:
         return int(self.packed.first[-1])
 
 
-def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
+def prepare_scene(scene: Scene, o: Array, d: Array) -> PreparedScene:
     packed = packed_float32(scene)
     return PreparedScene(scene, packed, model_of(scene, packed, endless_rays(o, d)), o, d)
 
@@ -203,27 +208,27 @@ def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
 class ExactHits:
     """Exact first hits of rays o + t d, t > 0; all arrays have one row a ray."""
 
-    def __init__(self, ready: PreparedScene, o: np.ndarray, d: np.ndarray) -> None:
+    def __init__(self, ready: PreparedScene, o: Array, d: Array) -> None:
         self.ready, self.o, self.d = ready, o.astype(np.float64), d.astype(np.float64)
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
 
-    def near(self, rows: np.ndarray, prim: np.ndarray, t: np.ndarray, ku: float, *, ours: bool) -> Intersections:
+    def near(self, rows: Array, prim: Array, t: Array, ku: float, *, ours: bool) -> Intersections:
         """Intersections of some rays with primitives, one each. ku, ours: as in SceneModel.intersect."""
         return intersections_at(self.ready.model, prim, (self.o[rows], self.d[rows]), t, ku, ours=ours)
 
-    def ratios(self, answer: Answer, *, ours: bool) -> np.ndarray:
+    def ratios(self, answer: Answer, *, ours: bool) -> Array:
         """(n,) error over bound, as by `exact_ratios`. ours: False for the reference, as in SceneModel.intersect."""
         near = partial(self.near, ku=answer.ku, ours=ours)
         return exact_ratios(self.answers, answer, near, self.ready.packed)[0]
 
-    def bounds(self, ku: float, *, ours: bool) -> np.ndarray:
+    def bounds(self, ku: float, *, ours: bool) -> Array:
         """(n,) bounds on |t - exact t| at the first primitive that is hit; NaN on a miss."""
         prim = np.array([answer.prim for answer in self.answers], np.int64)
         return np.where(self.hit, self.near(np.arange(len(prim)), prim, self.t, ku, ours=ours).t_error, np.nan)
 
-    def errors(self, t: np.ndarray) -> np.ndarray:
+    def errors(self, t: Array) -> Array:
         """(n,) |t - exact t|, exactly rounded; NaN where either is not finite."""
         pairs = zip((answer.t for answer in self.answers), t.tolist(), strict=True)
         return np.array([np.nan if exact is None or not np.isfinite(x) else exact.off(x) for exact, x in pairs])

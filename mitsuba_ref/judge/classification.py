@@ -20,7 +20,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
-from mitsuba_ref.error_model.intersections import Intersections, row_groups, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, Intersections, row_groups, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import (
@@ -33,15 +33,7 @@ from mitsuba_ref.judge.adjudication import (
     sample_rows,
 )
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
-from mitsuba_ref.judge.comparison import (
-    ImagePair,
-    PixelPairs,
-    SelfCheck,
-    UvPair,
-    compare,
-    inconsistent_aovs,
-    pair_images,
-)
+from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, UvPair, compare, inconsistent_aovs, pair_images
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.judge.diffuse import diffuse_within_float64, judge_diffuse, shading_points
 from mitsuba_ref.judge.verdict import CLASSES, JUDGED_WITHOUT_REFERENCE
@@ -49,9 +41,7 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
-from mitsuba_ref.subjects.subject import OURS, Subject
+from mitsuba_ref.subjects.requests import SubjectResponse
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
 CODE = SimpleNamespace(**CLASS_CODE)  # CODE.wrong is that of the class `wrong`
@@ -73,19 +63,19 @@ RAYS_PER_BATCH = 1 << 14  # rays of a list whose possible intersections are in m
 class Judgement:
     """One row a pixel."""
 
-    classes: np.ndarray  # (n,) index into CLASSES
-    ratios: Mapping[str, np.ndarray]  # (n,) error over bound of each check, `exact` included
+    classes: Array  # (n,) index into CLASSES
+    ratios: Mapping[str, Array]  # (n,) error over bound of each check, `exact` included
     allowed: Mapping[str, float]  # the scene's own shares of bounds
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
     exact_seconds: float  # spent on exact arithmetic
-    not_adjudicated: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
+    not_adjudicated: Array = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
 
-    def excess(self, name: str) -> np.ndarray:
+    def excess(self, name: str) -> Array:
         """(n,) error over what the scene allows of the bound."""
         return self.ratios[name] / self.allowed.get(name, 1.0)
 
-    def is_class(self, *names: str) -> np.ndarray:
+    def is_class(self, *names: str) -> Array:
         """(n,) bool: pixels of one of these classes."""
         return np.isin(self.classes, [CLASS_CODE[name] for name in names])
 
@@ -138,24 +128,24 @@ class Judge:
             reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
         return UvPair(ours, np.where(known[:, None], reference, ours), bound)
 
-    def near(self, rows: np.ndarray | slice, prim: np.ndarray, t: np.ndarray) -> Intersections:
+    def near(self, rows: Array | slice, prim: Array, t: Array) -> Intersections:
         """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
         lines, answer = (self.o[rows], self.d[rows]), self.answer
         return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
 
     @cached_property
-    def reference_lines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def reference_lines(self) -> tuple[Array, Array, Array]:
         """o, d, t_max as Mitsuba traced them: (self.o, self.d, self.t_max), but for rays of a list."""
         rays = self.pair.rays.for_reference()
         return rays.o.astype(np.float64), rays.d.astype(np.float64), rays.t_max.astype(np.float64)
 
     @property
-    def reference_t(self) -> np.ndarray:
+    def reference_t(self) -> Array:
         """(n,) Mitsuba's t along `reference_lines`, where self.result.t counts from o."""
         return self.result.answer.t.astype(np.float64)
 
     @property
-    def n(self) -> np.ndarray | None:
+    def n(self) -> Array | None:
         """(n, 3) the subject's geometric normals, if it gives any."""
         return aov_rows(self.pair.subject, "normal") if self.answer.n is None and self.names_prims else self.answer.n
 
@@ -173,11 +163,6 @@ class Judge:
     @cached_property
     def oracle(self) -> Oracle:
         return Oracle(self.model.packed)
-
-    @property
-    def self_checks(self) -> tuple[SelfCheck, ...]:
-        """The subject's own quantities, held to float64."""
-        return tuple(self.pixels.self_checks.values())
 
     def judge(self) -> Judgement:
         """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
@@ -199,10 +184,13 @@ class Judge:
         self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & (~exact.of_first | self.hits_at_t_min[exact.rows])
         classes[exact.rows[other_tie]] = CODE.tie
-        for check in self.self_checks:
+        for check in self.pixels.self_checks.values():
             classes[check.fails & self.consistent] = CODE.wrong
         classes[exact.rows[~exact.answered]] = CODE.undecided
-        self._classify_inexact(classes, exact)
+        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
+        classes[rows] = CODE.wrong  # unless its own rounding allows the answer
+        classes[rows[lost]] = CODE.out_of_domain
+        classes[rows[allowed]] = CODE.explained
         classes[broken | ((self.t_max < 0.0) & self.hit)] = CODE.wrong
 
         # Step 4: light, where the subject gives it.
@@ -221,7 +209,7 @@ class Judge:
         rows = np.flatnonzero(left_out & self.consistent)
         return Judgement(classes, ratios, comparison.allowed, exact, cases, seconds, rows)
 
-    def _has_loose_normals(self) -> np.ndarray:
+    def _has_loose_normals(self) -> Array:
         """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""
         at, own = self.bounds.at, self.bounds.own
         error = np.maximum(at.n_error, at.sh_error) if self.names_prims else own.n_error
@@ -229,7 +217,7 @@ class Judge:
         return loose & (not self.answer.hits_only)
 
     @without_float_warnings
-    def _reference_fits(self) -> np.ndarray:
+    def _reference_fits(self) -> Array:
         """(n,) bool: Mitsuba's answer lies on the primitive it names, so that a subject may be held to that one."""
         if self.names_prims:
             return np.ones(len(self.t_max), bool)
@@ -240,7 +228,7 @@ class Judge:
         return np.where(result.hit, fits, True)
 
     @without_float_warnings
-    def _adjudicate(self, agreeing: np.ndarray) -> Adjudication:
+    def _adjudicate(self, agreeing: Array) -> Adjudication:
         """Compare the subject with exact arithmetic wherever that may matter."""
         disputed = ~agreeing
         certain = self.bounds.at.certain
@@ -254,7 +242,7 @@ class Judge:
         rows = rows[self.t_max[rows] >= 0.0]
         return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
 
-    def _surely_wrong(self, rows: np.ndarray, count: int) -> np.ndarray:
+    def _surely_wrong(self, rows: Array, count: int) -> Array:
         """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
 
         rows: the pixels that disagree. These pixels stay undecided, which fails as well.
@@ -270,12 +258,12 @@ class Judge:
                 found[sample] = False
         return found
 
-    def kinds_of_pixels(self, rows: np.ndarray) -> np.ndarray:
+    def kinds_of_pixels(self, rows: Array) -> Array:
         """(m,) groups of rows: by the shape that Mitsuba hits, and by whether each side hits."""
         shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
         return row_groups(np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]]))
 
-    def adjudicated(self, rows: np.ndarray) -> Adjudication:
+    def adjudicated(self, rows: Array) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""
         answer = self.answer
         t_min = np.where(self.hits_at_t_min[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
@@ -284,12 +272,12 @@ class Judge:
         return Adjudication(rows, answers, *found)
 
     @cached_property
-    def hits_at_t_min(self) -> np.ndarray:
+    def hits_at_t_min(self) -> Array:
         """(n,) bool: a candidate's hits exactly at t_min, such as t = 0, which it may count as part of the ray."""
-        found: np.ndarray = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
+        found: Array = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
         return found & (not self.answer.hits_only)
 
-    def _may_hit(self) -> np.ndarray:
+    def _may_hit(self) -> Array:
         """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
         rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
         found = np.zeros(len(self.hit), bool)
@@ -299,9 +287,7 @@ class Judge:
             found[some[self.bracket.possible_hits(*lines).ray]] = True
         return found
 
-    def _classify_reference(
-        self, classes: np.ndarray, disputed: np.ndarray, loose: np.ndarray, exact: Adjudication
-    ) -> None:
+    def _classify_reference(self, classes: Array, disputed: Array, loose: Array, exact: Adjudication) -> None:
         """Classify disputed pixels where the subject is exactly right, by Mitsuba's answer."""
         rows = np.flatnonzero(disputed)
         rows = rows[np.isin(rows, exact.rows[exact.right])]
@@ -322,14 +308,7 @@ class Judge:
         tied = allowed & ~useless & names_other_tie(self.model.packed, claims.shape, answers)
         classes[rows[tied]] = CODE.tie
 
-    def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
-        """Classify pixels where the subject is not exactly right: wrong, unless its own rounding allows the answer."""
-        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
-        classes[rows] = CODE.wrong
-        classes[rows[lost]] = CODE.out_of_domain
-        classes[rows[allowed]] = CODE.explained
-
-    def _within_rounding(self, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
+    def _within_rounding(self, exact: Adjudication) -> tuple[Array, Array]:
         """(m,) bool each, at the adjudicated rows where the subject is not exactly right.
 
         Its rounding allows the answer; its precision or camera cannot resolve it.
@@ -346,13 +325,13 @@ class Judge:
             lost = self.view.is_unresolved(prim, self.d[rows], t)
         return allowed, found.open | lost
 
-    def _reference_claims(self, rows: np.ndarray) -> Claims:
+    def _reference_claims(self, rows: Array) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
         shape, *vectors = (aov_rows(self.pair.reference, name)[rows] for name in names)
         claims = Claims(self.reference_t[rows], shape, *vectors)
         return claims if self.pixels.uv is None else claims._replace(uv=self.result.answer.uv[rows])
 
-    def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> np.ndarray:
+    def _classify_diffuse(self, classes: Array, allowed: float) -> Array:
         """(n,) error over bound by Mitsuba's lights where geometry agrees, elsewhere by float64; changes classes."""
         agreeing = np.flatnonzero((classes == CODE.agree) & self.hit)
         brackets = self.bracket, self.reference_bracket
@@ -373,18 +352,17 @@ class Judge:
             diffuse.ratio[alone[~right]] = np.inf
         return diffuse.ratio
 
-    def _held_to_float64(self, classes: np.ndarray) -> np.ndarray:
+    def _held_to_float64(self, classes: Array) -> Array:
         """(n,) bool: pixels whose diffuse value is compared with float64: all that pass otherwise, some that agree.
 
         The agreeing ones would show a subject that copies Mitsuba's coarse shadows.
         """
         agreeing = np.flatnonzero(classes == CODE.agree)
         chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
-        count = min(AGREEING_PIXELS_SHADED, len(agreeing))
-        chosen[np.random.default_rng(1).choice(agreeing, count, replace=False)] = True
+        chosen[sample_rows(agreeing, AGREEING_PIXELS_SHADED)] = True
         return chosen
 
-    def _known_cases(self, rows: np.ndarray, agreeing: np.ndarray, exact: Adjudication) -> dict[int, int | None]:
+    def _known_cases(self, rows: Array, agreeing: Array, exact: Adjudication) -> dict[int, int | None]:
         """The known defect at each row, where the reference is wrong. Wrong light on a right surface is none."""
         cases: dict[int, int | None] = {int(row): None for row in rows}
         rows = rows[~agreeing[rows]]
@@ -400,7 +378,7 @@ class Judge:
         return cases
 
 
-def reference_prims(result: ReferenceResult, model: SceneModel) -> np.ndarray:
+def reference_prims(result: ReferenceResult, model: SceneModel) -> Array:
     """(n,) the number in the scene of the primitive that Mitsuba names, -1 on a miss.
 
     A shape with a stand-in counts as its first primitive, since Mitsuba numbers the stand-in's own triangles.
@@ -412,22 +390,6 @@ def reference_prims(result: ReferenceResult, model: SceneModel) -> np.ndarray:
     return np.where(result.hit & (shape >= 0), prim, -1).astype(np.int32)
 
 
-def scene_judge(
-    scene: Scene,
-    subject: Subject = OURS,
-    *,
-    whole: SharedRays | None = None,
-    timeout: float = DEFAULT_TIMEOUT,
-    send: SendRequest = send_request,
-) -> Judge | Crash:
-    """The judge of a subject in the film's window, or how Mitsuba ended without an answer.
-
-    whole: the rays that stand-ins are cut to, if other than the window's own. send: the way to Mitsuba.
-    Raises SceneError for a scene that cannot be judged, NoAnswer if the subject gives none.
-    """
-    return judge_of(request_answer(subject, scene, whole=whole), timeout=timeout, send=send)
-
-
 def judge_of(
     response: SubjectResponse,
     *,
@@ -435,7 +397,10 @@ def judge_of(
     send: SendRequest = send_request,
     with_files: bool = True,
 ) -> Judge | Crash:
-    """The judge of a subject's response. with_files: Mitsuba also reads the mesh files."""
+    """The judge of a subject's response, or how Mitsuba ended without an answer.
+
+    send: the way to Mitsuba. with_files: it also reads the mesh files. Raises SceneError.
+    """
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()
     lights = answer.images is not None

@@ -19,6 +19,7 @@ from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
 from mitsuba_ref.error_model.intersections import (
+    Array,
     all_of_columns,
     any_of_columns,
     norm,
@@ -53,17 +54,17 @@ class ImagePair:
     result: ReferenceResult
 
     @cached_property
-    def length(self) -> np.ndarray:
+    def length(self) -> Array:
         """(n,) of each ray's d."""
         return norm(self.rays.d.astype(np.float64))
 
     @property
-    def t(self) -> np.ndarray:
+    def t(self) -> Array:
         """(n,) the subject's."""
         return self.answer.t
 
     @property
-    def prim(self) -> np.ndarray:
+    def prim(self) -> Array:
         """(n,) the subject's primitives, numbered through the scene; -1 on a miss, or if it names none."""
         return np.full(len(self.t), -1, np.int32) if self.answer.prim is None else self.answer.prim
 
@@ -74,7 +75,7 @@ class ImagePair:
         return height, width
 
     @property
-    def any_hit(self) -> np.ndarray:
+    def any_hit(self) -> Array:
         """(n,) bool: hit by either side."""
         return self.subject.hit.ravel() | self.result.hit
 
@@ -105,21 +106,20 @@ def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs
 class UvPair(NamedTuple):
     """uv of both sides in the UvSpace of the primitive in question."""
 
-    subject: np.ndarray  # (n, 3)
-    reference: np.ndarray  # (n, 3) the subject's, where the reference has no uv of that primitive
-    bound: np.ndarray  # (n,) of their distance
+    subject: Array  # (n, 3)
+    reference: Array  # (n, 3) the subject's, where the reference has no uv of that primitive
+    bound: Array  # (n,) of their distance
 
 
 class SelfCheck(NamedTuple):
     """One quantity of the subject, compared in float64 with the primitive that it names."""
 
-    name: str
-    error: np.ndarray  # (n,) distance from the primitive's own value
-    bound: np.ndarray  # (n,) that float64 allows
-    counts: np.ndarray  # (n,) bool: where it is compared
+    error: Array  # (n,) distance from the primitive's own value
+    bound: Array  # (n,) that float64 allows
+    counts: Array  # (n,) bool: where it is compared
 
     @property
-    def fails(self) -> np.ndarray:
+    def fails(self) -> Array:
         """(n,) bool."""
         return self.counts & ~(self.error <= self.bound)
 
@@ -132,15 +132,15 @@ class PixelPairs:
     reference: Aovs
     bounds: Bounds
     answer: Answer  # of the subject
-    length: np.ndarray  # (n,) of each ray's d
-    point: np.ndarray  # (n, 3) o + t d at the subject's hits
+    length: Array  # (n,) of each ray's d
+    point: Array  # (n, 3) o + t d at the subject's hits
     uv: UvPair | None = None  # None: not given
 
-    def pair(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+    def pair(self, name: str) -> tuple[Array, Array]:
         """(the subject's, the reference's) values of one AOV, (n,) or (n, c)."""
         return aov_rows(self.subject, name), aov_rows(self.reference, name)
 
-    def distance(self, name: str) -> np.ndarray:
+    def distance(self, name: str) -> Array:
         """(n,) between both sides, uv in the space of their kind, where seams and poles are no jumps."""
         uv = self.uv[:2] if name == "uv" and self.uv else None
         sides = uv or (values.reshape(len(values), -1) for values in self.pair(name))
@@ -148,7 +148,7 @@ class PixelPairs:
 
     @cached_property
     @without_overflow_warnings
-    def allowed_distance(self) -> dict[str, np.ndarray]:
+    def allowed_distance(self) -> dict[str, Array]:
         """(n,) bound on the distance of each AOV of a subject that names its primitives.
 
         That of depth is the bound of t, in scene units, plus one rounding of our own sum of start and t |d|. That of a
@@ -178,30 +178,25 @@ class PixelPairs:
             ("position", self.point, own.p_error, resolved),
         ]
         found = {
-            name: SelfCheck(name, row_distance(aov_rows(self.subject, name), value), bound, counts)
+            name: SelfCheck(row_distance(aov_rows(self.subject, name), value), bound, counts)
             for name, value, bound, counts in held
         }
         if self.uv is not None:
-            found["uv"] = SelfCheck("uv", row_distance(self.uv.subject, own.uv), own.uv_error, resolved)
+            found["uv"] = SelfCheck(row_distance(self.uv.subject, own.uv), own.uv_error, resolved)
         return found
 
     @property
-    def both_hit(self) -> np.ndarray:
+    def both_hit(self) -> Array:
         """(n,) bool."""
         return self.subject.hit.ravel() & self.reference.hit.ravel()
 
 
-# Checks of a subject that names its primitive, and of any other one that gives all quantities.
-CHECKS = ("mask", "shape_id", "on_surface", "depth", "position", "normal", "shading_normal", "uv")
-SURFACE_CHECKS = ("mask", "depth", "normal", "shape_id", "prim_id")
-
-
 @without_float_warnings
-def check_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
+def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
     """Error over bound of each check whose quantities are given, (n,) each; inf for another hit, shape or primitive."""
     answer, own, both = pixels.answer, pixels.bounds.own, pixels.both_hit
 
-    def unequal(subject: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    def unequal(subject: Array, reference: Array) -> Array:
         return np.where(subject == reference, 0.0, np.inf)
 
     hit = pixels.subject.hit.ravel()
@@ -220,11 +215,10 @@ def check_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
         return found | {name: unequal(*pixels.pair(name)) for name, ids in given.items() if ids is not None}
     found |= {"shape_id": unequal(*pixels.pair("shape_id")), "on_surface": on_surface}
     for name, bound in pixels.allowed_distance.items():
-        ratio = error_over_bound(pixels.distance(name), bound)
-        if name in pixels.self_checks:
-            check = pixels.self_checks[name]
-            ratio = np.maximum(ratio, error_over_bound(check.error, check.bound))
-        found[name] = np.where(both, ratio, 0.0)
+        found[name] = np.where(both, error_over_bound(pixels.distance(name), bound), 0.0)
+        if check := pixels.self_checks.get(name):
+            own_ratio = np.where(both | check.fails, error_over_bound(check.error, check.bound), 0.0)
+            found[name] = np.maximum(found[name], own_ratio)
     return found
 
 
@@ -232,16 +226,16 @@ def check_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
 class Comparison:
     """Error over bound of each check, (n,) each; at most 1 is within the bound, inf is beyond any bound."""
 
-    ratios: Mapping[str, np.ndarray]
+    ratios: Mapping[str, Array]
     allowed: Mapping[str, float]  # share of the bound each may use; 1 unless set by the scene
 
     @property
-    def agrees(self) -> np.ndarray:
+    def agrees(self) -> Array:
         """(n,) bool: no check finds more than it allows."""
         return np.all([ratio <= self.allowed[name] for name, ratio in self.ratios.items()], axis=0)
 
     @property
-    def derived(self) -> np.ndarray:
+    def derived(self) -> Array:
         """(n,) bool: no check finds more than its derived bound."""
         return np.all([ratio <= 1.0 for ratio in self.ratios.values()], axis=0)
 
@@ -256,7 +250,7 @@ def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
 
 
 @without_float_warnings
-def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, np.ndarray]:
+def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, Array]:
     """Where the AOVs of a subject that names its primitives contradict its hits; (n,) bool, by check.
 
     No rounding excuses a number that is not finite on a hit, a value on a miss, or a depth, mask, primitive or albedo
@@ -284,7 +278,7 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
     return found
 
 
-def _fits_mask(aovs: Aovs, name: str, hit: np.ndarray) -> np.ndarray:
+def _fits_mask(aovs: Aovs, name: str, hit: Array) -> Array:
     values = aov_rows(aovs, name).reshape(len(hit), -1)
     on_hit, on_miss = (all_of_columns(a) for a in (np.isfinite(values), values == MISS_VALUES.get(name, 0)))
     return np.where(hit, on_hit, on_miss)

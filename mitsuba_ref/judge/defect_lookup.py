@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.intersections import norm, without_float_warnings, without_overflow_warnings
+from mitsuba_ref.error_model.intersections import Array, norm, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
@@ -50,10 +50,10 @@ LEAST_FLOAT64 = 2.0**-1074
 def defect_features(
     model: SceneModel,
     oracle: Oracle,
-    lines: tuple[np.ndarray, np.ndarray, np.ndarray],
+    lines: tuple[Array, Array, Array],
     claims: Claims,
     answers: Sequence[ExactAnswer],
-    named: np.ndarray,
+    named: Array,
     robust: bool = True,
 ) -> Iterator[DefectFeatures]:
     """Features at m pixels of one scene.
@@ -93,9 +93,7 @@ def defect_features(
         )
 
 
-def _with_normals(
-    model: SceneModel, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
-) -> tuple[Claims, np.ndarray]:
+def _with_normals(model: SceneModel, o: Array, d: Array, claims: Claims, prims: Array) -> tuple[Claims, Array]:
     """(the claims, with missing normals filled in; (m,) bool: rounding may be why a normal is missing).
 
     A normal with a bound of 1 or more, its own length, may vanish, and is then 0/0.
@@ -110,7 +108,7 @@ def _with_normals(
 
 
 @without_float_warnings
-def _distance_and_offset(model: SceneModel, prims: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _distance_and_offset(model: SceneModel, prims: Array, o: Array) -> tuple[Array, Array]:
     """(m,) distances of primitives from o and of their farthest corners from the origin, over their sizes; or 0."""
     low, high = (corner[prims] for corner in model.boxes)
     size = (high - low).max(axis=1)
@@ -131,7 +129,7 @@ def _kind(model: SceneModel, prim: int) -> str:
 
 
 @without_overflow_warnings
-def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def _view(model: SceneModel, prim: int, o: Array, d: Array, t: float) -> DefectView:
     """Measures of one primitive and the ray, by its kind."""
     if prim < 0:
         return DefectView()
@@ -139,7 +137,7 @@ def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) 
     return kind_of(prims).defect_view(prims, k, o, d, t)
 
 
-def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:
+def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: Array, d: Array) -> bool:
     """Whether the primitive is hit at t = 0 up to its bound, or another one of that shape exactly there."""
     if shape < 0:
         return False

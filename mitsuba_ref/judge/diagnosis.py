@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from mitsuba_ref.error_model.bounds import row_distance
-from mitsuba_ref.error_model.intersections import dot, norm, unit
+from mitsuba_ref.error_model.intersections import Array, dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.tolerances import (
     SEPARATES,
     SEPARATOR_CHANCE,
 )
-from mitsuba_ref.judge.adjudication import id_columns, sample_rows
+from mitsuba_ref.judge.adjudication import id_columns, named_prims, sample_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
@@ -51,11 +51,11 @@ class Cause:
     """The cause of some failing rows of the image."""
 
     what: str
-    rows: np.ndarray  # ascending
+    rows: Array  # ascending
     of: int = 0  # wrong pixels among which it was looked for; 0: a description
     remedy: str = ""  # of a mistake that explains the rows
     where: str = ""  # a property that separates these pixels from right ones
-    alike: np.ndarray = field(default_factory=lambda: NONE)  # rows with the same symptom that were not adjudicated
+    alike: Array = field(default_factory=lambda: NONE)  # rows with the same symptom that were not adjudicated
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Diagnosis:
     causes: tuple[Cause, ...]
 
     @property
-    def rows_of(self) -> Mapping[str, np.ndarray]:
+    def rows_of(self) -> Mapping[str, Array]:
         """The rows of each cause."""
         return {cause.what: cause.rows for cause in self.causes}
 
@@ -84,16 +84,16 @@ class Diagnosis:
         return [text for cause in its for text in (cause.where, cause.remedy) if text]
 
 
-def failing_rows(judgement: Judgement) -> np.ndarray:
+def failing_rows(judgement: Judgement) -> Array:
     """Rows of the image that fail by their class, or because the reference is wrong in an unknown way; ascending."""
     unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
     return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
 
 
 # (o, d) (m, 3) -> (the subject's t, the right t) along further rays; None: it gave no answer
-CastRays = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray] | None]
+CastRays = Callable[[Array, Array], tuple[Array, Array] | None]
 Table = Callable[[WrongPixels], Iterator[Mistake]]
-Describe = Callable[[WrongPixels], Iterator[tuple[str, np.ndarray]]]  # (description, (m,) bool: its pixels)
+Describe = Callable[[WrongPixels], Iterator[tuple[str, Array]]]  # (description, (m,) bool: its pixels)
 
 
 class _Causes:
@@ -105,11 +105,11 @@ class _Causes:
         self.left = np.zeros(len(judge.t_max), bool)  # rows that fail and have no cause yet
         self.left[failing_rows(judgement)] = True
 
-    def take(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
+    def take(self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
         """Assign a cause to those of the rows that have none yet. where: look for a separator."""
         self.add(what, rows[self.left[rows]], of, remedy, where=where)
 
-    def add(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
+    def add(self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
         """Assign a cause to rows, beside others that they may have."""
         if not len(rows):
             return
@@ -119,7 +119,7 @@ class _Causes:
         every = np.union1d(before.rows, rows) if before else rows
         self.found[what] = Cause(what, every, of, remedy, separator)
 
-    def _where(self, rows: np.ndarray, known: bool) -> str:
+    def _where(self, rows: Array, known: bool) -> str:
         """What separates these rows from right ones; known: their cause is, so that only primitives are named."""
         text = separator_text(self.judge, self.judgement, rows, prims_only=known)
         missed = rows[~self.judge.hit[rows]]
@@ -127,7 +127,7 @@ class _Causes:
             return text
         return tried_text(self.judge, *self.judgement.exact.first_hits(missed), missed, self.cast)
 
-    def take_alike(self, rows: np.ndarray) -> None:
+    def take_alike(self, rows: Array) -> None:
         """Assign pixels that were not adjudicated to the cause of most adjudicated ones of their kind."""
         group = self.judge.kinds_of_pixels(np.arange(len(self.left)))
         for kind in np.unique(group[rows]) if self.found else ():
@@ -136,7 +136,7 @@ class _Causes:
             self.found[cause.what] = replace(cause, alike=np.union1d(cause.alike, members))
             self.left[members] = False
 
-    def explain(self, g: WrongPixels, off: np.ndarray, table: Table, describe: Describe) -> WrongPixels:
+    def explain(self, g: WrongPixels, off: Array, table: Table, describe: Describe) -> WrongPixels:
         """Assign mistakes and descriptions to the pixels of g that are off, (m,) bool.
 
         Returns the pixels where the subject hits the right surface: those that are not off, or by such a mistake.
@@ -204,7 +204,7 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
     return Diagnosis(tuple(causes.found.values()))
 
 
-def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels:
+def _pixels(judge: Judge, judgement: Judgement, rows: Array) -> WrongPixels:
     """These adjudicated rows of the image with the exact answers there."""
     prim, t = judgement.exact.first_hits(rows)
     return WrongPixels(judge, rows, prim, t, judge.near(rows, prim, t))
@@ -213,7 +213,7 @@ def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels
 # ---- descriptions of wrong pixels that no mistake explains
 
 
-def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, Array]]:
     missed, behind = ~f.given_hit & f.hit, _is_behind_first(f)
     if behind.any():
         hidden = "the first surface is missed, and what lies behind it is hit, if anything"
@@ -231,7 +231,7 @@ def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     yield "t is off", both
 
 
-def _is_behind_first(f: WrongPixels) -> np.ndarray:
+def _is_behind_first(f: WrongPixels) -> Array:
     """(m,) bool: a surface behind the first one is answered."""
     behind = np.zeros(len(f.rows), bool)
     if f.judge.answer.hits_only or not f.given_hit.any():
@@ -241,13 +241,13 @@ def _is_behind_first(f: WrongPixels) -> np.ndarray:
     return behind & f.given_hit & f.hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
 
 
-def _has_wrong_id(f: WrongPixels) -> np.ndarray:
+def _has_wrong_id(f: WrongPixels) -> Array:
     """(m,) bool: a shape or primitive is named that is not hit."""
     wrong = [ids[f.rows] != number(f.prim) for _, ids, number in id_columns(f.judge.answer, f.judge.model.packed)]
     return np.any([np.zeros(len(f.rows), bool), *wrong], axis=0)
 
 
-def _describe_normals(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+def _describe_normals(f: WrongPixels) -> Iterator[tuple[str, Array]]:
     error = row_distance(f.n, f.at.n)
     finite = np.isfinite(error)
     if finite.any():
@@ -285,13 +285,12 @@ def _outline_text(f: WrongPixels) -> str:
             nearest.append(prims[beyond.argmin()])
     if len(distances) < NEARLY_ALL * len(few.rows):
         return ""
-    packed, first = judge.model.packed, np.array(nearest[:1])
-    name = judge.scene.shape_names()[int(packed.shape_of(first)[0])]
-    where = f"by {range_text(np.array(distances))} (first: {name}, prim {packed.index_in_shape(first)[0]})"
+    name, number = named_prims(judge.scene, judge.model.packed, np.array(nearest))[0]
+    where = f"by {range_text(np.array(distances))} (first: {name}, prim {number})"
     return f", beyond the outline of a triangle, on its plane, {where}"
 
 
-def _outline(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _outline(p: Array, corners: Array) -> tuple[Array, Array]:
     """Whether p (3,) or (m, 3) lies inside each triangle (m, 3, 3) if projected, and its distance from the outline."""
     a, ab, n = corners, np.roll(corners, -1, axis=1) - corners, area_vectors(corners)
     ap = np.broadcast_to(p, n.shape)[:, None] - a
@@ -305,10 +304,10 @@ def _outline(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray
 MAX_NAMED_PRIMS = 3  # that are wrong at each of their pixels
 MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extreme by chance
 
-Property = tuple[str, np.ndarray]  # a sentence, and (n,) bool
+Property = tuple[str, Array]  # a sentence, and (n,) bool
 
 
-def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, prims_only: bool = False) -> str:
+def separator_text(judge: Judge, judgement: Judgement, wrong: Array, *, prims_only: bool = False) -> str:
     """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
     prim = judge.reference_prim.astype(np.int64)
     prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
@@ -316,9 +315,7 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, pri
     return next(_separators(judge, prim, wrong[prim[wrong] >= 0], right, prims_only), "")
 
 
-def _separators(
-    judge: Judge, prim: np.ndarray, wrong: np.ndarray, right: np.ndarray, prims_only: bool
-) -> Iterator[str]:
+def _separators(judge: Judge, prim: Array, wrong: Array, right: Array, prims_only: bool) -> Iterator[str]:
     """What separates rows, the simplest first. prim: (n,) what each ray hits."""
     rows, is_wrong = np.concatenate([wrong, right]), np.repeat([True, False], [len(wrong), len(right)])
     yield from _by_remainder(
@@ -337,7 +334,8 @@ def _separators(
     rows, is_wrong = np.concatenate(some), np.repeat([True, False], [*map(len, some)])
     properties, quantities = _features(judge, rows, prim[rows])
     tried = len(properties) + len(quantities)
-    for sentence, flags in (*properties, *((_negated(sentence), ~flags) for sentence, flags in properties)):
+    negated = ((" is not ".join(sentence.rsplit(" is ", 1)), ~flags) for sentence, flags in properties)
+    for sentence, flags in (*properties, *negated):
         if _separates(flags, is_wrong, tried):
             yield _where_text(sentence, flags, is_wrong)
     yield from named
@@ -350,18 +348,12 @@ def _separators(
             yield f"only where {sentence}: all {is_wrong.sum()} wrong pixels, {100.0 * share:.2g} % of the right ones"
 
 
-def _where_text(sentence: str, flags: np.ndarray, wrong: np.ndarray) -> str:
+def _where_text(sentence: str, flags: Array, wrong: Array) -> str:
     counts = (flags & wrong).sum(), wrong.sum(), (flags & ~wrong).sum(), (~wrong).sum()
     return "where {}: {} of {} wrong pixels, {} of {} right ones".format(sentence, *counts)
 
 
-def _negated(sentence: str) -> str:
-    """Of a sentence about what is."""
-    what, _, rest = sentence.rpartition(" is ")
-    return f"{what} is not {rest}"
-
-
-def _by_remainder(what: str, numbers: np.ndarray, wrong: np.ndarray) -> Iterator[str]:
+def _by_remainder(what: str, numbers: Array, wrong: Array) -> Iterator[str]:
     """The numbers (n,) of wrong pixels, if they are equal modulo another one."""
     if found := common_remainder(np.unique(numbers[wrong])):
         step, rest = found
@@ -370,7 +362,7 @@ def _by_remainder(what: str, numbers: np.ndarray, wrong: np.ndarray) -> Iterator
             yield _where_text(f"{what} is {rest} modulo {step}", flags, wrong)
 
 
-def common_remainder(numbers: np.ndarray) -> tuple[int, int] | None:
+def common_remainder(numbers: Array) -> tuple[int, int] | None:
     """(divisor, remainder) of ascending numbers; None if chance would do as well.
 
     k numbers that have nothing to do with each other leave one remainder with probability divisor^(1 - k).
@@ -380,28 +372,27 @@ def common_remainder(numbers: np.ndarray) -> tuple[int, int] | None:
     return None if likely else (step, int(numbers[0]) % step)
 
 
-def _by_prims(judge: Judge, prim: np.ndarray, wrong: np.ndarray) -> Iterator[str]:
+def _by_prims(judge: Judge, prim: Array, wrong: Array) -> Iterator[str]:
     """The primitives that are wrong at each pixel, if these are few. prim: (n,).
 
     If the m wrong ones of n pixels had nothing to do with primitives, a further pixel of a wrong primitive would be
     wrong as well with probability m / n.
     """
-    packed, named = judge.model.packed, np.unique(prim[wrong])
+    named = np.unique(prim[wrong])
     flags, further = np.isin(prim, named), int(wrong.sum()) - len(named)
     if 0 < len(named) <= MAX_NAMED_PRIMS and wrong.mean() ** further <= SEPARATOR_CHANCE and not (flags & ~wrong).any():
-        names = judge.scene.shape_names()
-        numbers = zip(packed.shape_of(named), packed.index_in_shape(named), strict=True)
-        words = " or ".join(f"{names[shape]}, prim {number}," for shape, number in numbers)
+        surfaces = named_prims(judge.scene, judge.model.packed, named)
+        words = " or ".join(f"{name}, prim {number}," for name, number in surfaces)
         yield _where_text(f"{words} is hit", flags, wrong)
 
 
-def _separates(flags: np.ndarray, wrong: np.ndarray, tried: int) -> bool:
+def _separates(flags: Array, wrong: Array, tried: int) -> bool:
     """Whether nearly all wrong pixels have a property, few others, and chance would not do as well; (n,) bool each."""
     share = min(flags[wrong].mean(), 1.0 - flags[~wrong].mean())
     return bool(share >= SEPARATES) and _is_significant(flags, wrong, tried)
 
 
-def best_threshold(values: np.ndarray, wrong: np.ndarray, tried: int) -> tuple[str, np.ndarray] | None:
+def best_threshold(values: Array, wrong: Array, tried: int) -> tuple[str, Array] | None:
     """(such as "below 1e-06", (n,) bool) of the threshold that separates the wrong (n,) bool best; None if none does.
 
     tried: features, as a union bound.
@@ -423,7 +414,7 @@ def best_threshold(values: np.ndarray, wrong: np.ndarray, tried: int) -> tuple[s
     return (words, flags) if _separates(flags, wrong, 2 * tried * len(last)) else None
 
 
-def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float | None:
+def necessary_share(flags: Array, wrong: Array, tried: int) -> float | None:
     """The share of right pixels that have a property of all wrong ones; flags, wrong: (n,) bool.
 
     None if a wrong one lacks it, nearly all right ones have it, or chance would do as well.
@@ -433,7 +424,7 @@ def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float |
     return share if necessary else None
 
 
-def _is_significant(flags: np.ndarray, wrong: np.ndarray, tried: float) -> bool:
+def _is_significant(flags: Array, wrong: Array, tried: float) -> bool:
     """Whether chance does not find so many of the wrong pixels among those with a property in so many tries."""
     p, q = (flags & wrong).sum() / max(flags.sum(), 1), wrong.mean()
     divergence = sum(a * np.log(a / b) for a, b in ((p, q), (1.0 - p, 1.0 - q)) if a > 0.0)
@@ -452,7 +443,7 @@ def _simplest_between(low: float, high: float) -> float:
     return high
 
 
-def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> tuple[list[Property], list[Property]]:
+def _features(judge: Judge, rows: Array, prim: Array) -> tuple[list[Property], list[Property]]:
     """(sentence, (n,) bool) and (name, (n,) values) of rays and the primitives they hit, the simplest first."""
     packed, o, d = judge.model.packed, judge.o[rows], judge.d[rows]
     at = judge.near(rows, prim, judge.result.t[rows].astype(np.float64))
@@ -498,7 +489,7 @@ LONGER, FARTHER = 2.0**40, 1000.0  # a direction; a start, in distances from the
 TURN = 0.35  # radians
 
 
-def tried_text(judge: Judge, prim: np.ndarray, t: np.ndarray, rows: np.ndarray, cast: CastRays) -> str:
+def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays) -> str:
     """The first change of missed rays under which nearly all are right; a question if all rays of the film are missed.
 
     rows: that are hit at t, exactly.

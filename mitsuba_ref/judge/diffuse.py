@@ -9,7 +9,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import Intersections, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, Intersections, without_float_warnings
 from mitsuba_ref.error_model.lambert import (
     LightChoices,
     LightContribution,
@@ -26,22 +26,22 @@ from mitsuba_ref.judge.comparison import ImagePair
 class DiffuseComparison(NamedTuple):
     """One row a pixel; pixels that are not judged have ratio 0."""
 
-    ratio: np.ndarray  # (n,) difference over bound with Mitsuba's own shadows
-    explained: np.ndarray  # (n,) bool: other shadows that rounding allows both sides give our value
-    unresolvable: np.ndarray  # (n,) bool: Mitsuba's own value has no useful bound
+    ratio: Array  # (n,) difference over bound with Mitsuba's own shadows
+    explained: Array  # (n,) bool: other shadows that rounding allows both sides give our value
+    unresolvable: Array  # (n,) bool: Mitsuba's own value has no useful bound
 
 
 class Lights(NamedTuple):
     """All lights but the ambient ones at m pixels, by their definitions, without shadows."""
 
     each: list[LightContribution]
-    radiance: np.ndarray  # (lights, m, 3); where either face may be lit, that of the one that faces the ray
-    error: np.ndarray  # (lights, m, 3)
-    doubtful: np.ndarray  # (lights, m) bool: at such a grazing angle
+    radiance: Array  # (lights, m, 3); where either face may be lit, that of the one that faces the ray
+    error: Array  # (lights, m, 3)
+    doubtful: Array  # (lights, m) bool: at such a grazing angle
 
 
 def judge_diffuse(
-    scene: Scene, pair: ImagePair, bounds: Bounds, rows: np.ndarray, brackets: tuple[Bracket, Bracket]
+    scene: Scene, pair: ImagePair, bounds: Bounds, rows: Array, brackets: tuple[Bracket, Bracket]
 ) -> DiffuseComparison:
     """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's."""
     count = len(pair.t)
@@ -65,9 +65,7 @@ def judge_diffuse(
     return DiffuseComparison(ratio, explained, unresolvable)
 
 
-def diffuse_within_float64(
-    scene: Scene, hit: ShadingPoints, prim: np.ndarray, values: np.ndarray, bracket: Bracket
-) -> np.ndarray:
+def diffuse_within_float64(scene: Scene, hit: ShadingPoints, prim: Array, values: Array, bracket: Bracket) -> Array:
     """(m,) bool: our values (m, 3) follow Lambert's law, with some shadows that float64 rounding allows us.
 
     hit: in float64, with float64's bounds; prim (m,): the primitives that are hit.
@@ -84,7 +82,7 @@ def diffuse_within_float64(
     return smallest_error_ratio(values, ambient, choices, KU_OURS) <= 1.0
 
 
-def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> ShadingPoints:
+def shading_points(pair: ImagePair, at: Intersections, rows: Array) -> ShadingPoints:
     """Our hits at some pixels, with the bounds `at`."""
     d = pair.rays.d[rows].astype(np.float64)
     p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
@@ -101,7 +99,7 @@ def materials_of(scene: Scene) -> Materials:
 
 
 @without_float_warnings
-def _for_our_albedo(scene: Scene, pair: ImagePair, rows: np.ndarray, lights: Lights) -> ImagePair:
+def _for_our_albedo(scene: Scene, pair: ImagePair, rows: Array, lights: Lights) -> ImagePair:
     """The pair with Mitsuba's light reflected by our textures: the reflectances are compared by themselves.
 
     Where Mitsuba's reflectance is 0, which hides its light, the light is that of the definitions.
@@ -128,23 +126,18 @@ def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
     return Lights(each, np.where(doubtful[..., None], either_side, radiance), error, doubtful)
 
 
-def _as_given(pair: ImagePair, lights: Lights, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _as_given(pair: ImagePair, lights: Lights, rows: Array) -> tuple[Array, Array]:
     """(lights, m, 3) each: Mitsuba's radiance, its shadows included, and its error."""
     visible = pair.result.visible[:, rows, None]
     return np.where(visible, pair.result.unshadowed[:, rows], 0.0), np.where(visible, lights.error, 0.0)
 
 
-def _ratio(pair: ImagePair, rows: np.ndarray, choices: LightChoices) -> np.ndarray:
+def _ratio(pair: ImagePair, rows: Array, choices: LightChoices) -> Array:
     return smallest_error_ratio(aov_rows(pair.subject, "diffuse")[rows], pair.result.ambient[rows], choices, KU)
 
 
 def _choices(
-    scene: Scene,
-    pair: ImagePair,
-    lights: Lights,
-    hit: ShadingPoints,
-    rows: np.ndarray,
-    brackets: tuple[Bracket, Bracket],
+    scene: Scene, pair: ImagePair, lights: Lights, hit: ShadingPoints, rows: Array, brackets: tuple[Bracket, Bracket]
 ) -> LightChoices:
     """Mitsuba's answer for each light, or the contrary where rounding allows each side its own answer.
 

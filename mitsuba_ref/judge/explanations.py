@@ -8,11 +8,11 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG, TIE, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.subjects.subject import Answer
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
 COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal", "uv")  # only where both sides hit
@@ -81,20 +81,11 @@ def format_defect(case: int | None) -> str:
 
 
 def full_reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int) -> str:
-    """The reason, and the quantities beyond their bounds with their factors."""
-    exceeded = exceeded_bounds(error_ratios(judge, judgement, row))
-    return "; ".join(filter(None, (reason(judge, judgement, diagnosed, row), exceeded)))
-
-
-def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, float]:
-    """Error over bound of every quantity: the larger of those from Mitsuba and from the subject's own primitive."""
-    found = {name: float(ratio[row]) for name, ratio in judgement.ratios.items()}
-    for check in judge.self_checks:
-        if check.fails[row]:
-            error, bound = float(check.error[row]), float(check.bound[row])
-            own = error / bound if bound > 0.0 and np.isfinite(error) else np.inf
-            found[check.name] = max(found[check.name], own)
-    return found
+    """The reason; of a subject that names primitives, also the quantities beyond their bounds with their factors."""
+    found = [reason(judge, judgement, diagnosed, row)]
+    if judge.names_prims:
+        found.append(exceeded_bounds({name: float(ratio[row]) for name, ratio in judgement.ratios.items()}))
+    return "; ".join(filter(None, found))
 
 
 def exceeded_bounds(ratios: Mapping[str, float]) -> str:
@@ -143,12 +134,8 @@ class TieMember(NamedTuple):
 
 def tie_members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[TieMember]:
     """The exact tie set in the scene's own names."""
-    shapes, numbers = packed.shape_of(answer.prims), packed.index_in_shape(answer.prims)
-    names = scene.shape_names()
-    return [
-        TieMember(names[shape], int(number), hit.where)
-        for shape, number, hit in zip(shapes, numbers, answer.ties, strict=True)
-    ]
+    named = zip(named_prims(scene, packed, answer.prims), answer.ties, strict=True)
+    return [TieMember(*surface, hit.where) for surface, hit in named]
 
 
 def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None, *, with_t: bool = True) -> str:
@@ -183,9 +170,21 @@ def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> t
         sides = judge.pair.subject, judge.pair.reference
         subject, reference = (_aovs_text(judge.scene, aovs, check, row) for aovs in sides)
         return subject, reference, exact
+    answer, result, shape = judge.answer, judge.result, int(judge.result.shape_id[row])
+    parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
+    if answer.n is not None and answer.hit[row]:
+        parts.append(f"n ({format_numbers(answer.n[row])})")
+    parts += [why for why, rows in answer.broken.items() if rows[row]]
     ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
-    subject = f"{format_answer(judge.answer, row)}, {ray}"
-    return subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row)
+    reference = "miss"
+    if shape >= 0:
+        n = format_numbers(aov_rows(judge.pair.reference, "normal")[row])
+        reference = f"{judge.scene.shape_names()[shape]} at t {decimal_and_hex(float(result.t[row]))}, n ({n})"
+    rows = np.array([row])
+    prim, t = judgement.exact.first_hits(rows)
+    if prim[0] >= 0 and judge.n is not None:  # in float64 at the surface that is hit: normals have no exact value
+        exact += f", n ({format_numbers(judge.near(rows, prim, t).n[0])})"
+    return ", ".join([*parts, ray]), reference, exact
 
 
 def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
@@ -198,31 +197,6 @@ def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
         value = ", ".join(f"{v:.9g}" if check != "position" else repr(float(v)) for v in values)
         text += f", {check} ({value})"
     return text
-
-
-def format_answer(answer: Answer, row: int) -> str:
-    """t to the bit, the normal, and why the answer is invalid if it is."""
-    parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
-    if answer.n is not None and answer.hit[row]:
-        parts.append(f"n ({format_numbers(answer.n[row])})")
-    parts += [why for why, rows in answer.broken.items() if rows[row]]
-    return ", ".join(parts)
-
-
-def _reference_text(judge: Judge, row: int) -> str:
-    result = judge.result
-    shape = int(result.shape_id[row])
-    if shape < 0:
-        return "miss"
-    n = format_numbers(aov_rows(judge.pair.reference, "normal")[row])
-    return f"{judge.scene.shape_names()[shape]} at t {decimal_and_hex(float(result.t[row]))}, n ({n})"
-
-
-def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
-    """The normal in float64 at the surface that is hit exactly: normals have no exact value."""
-    rows = np.array([row])
-    prim, t = judgement.exact.first_hits(rows)
-    return f", n ({format_numbers(judge.near(rows, prim, t).n[0])})" if prim[0] >= 0 and judge.n is not None else ""
 
 
 def reproducer_header(judge: Judge, judgement: Judgement, row: int, what: str, source: str) -> Iterator[str]:

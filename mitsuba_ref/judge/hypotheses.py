@@ -16,7 +16,7 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
-from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.intersections import Array, Intersections, dot, norm, row_groups, unit
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -41,7 +41,7 @@ SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
 class WrongPixels:
     """Rows of the image (m,) with the subject's answers and the exact ones there."""
 
-    def __init__(self, judge: Judge, rows: np.ndarray, prim: np.ndarray, t: np.ndarray, at: Intersections):
+    def __init__(self, judge: Judge, rows: Array, prim: Array, t: Array, at: Intersections):
         """prim, t: (m,) exact, -1 and inf on a miss; at: of these primitives, as the subject may see them."""
         self.judge, self.rows, self.prim, self.t, self.at = judge, rows, prim, t, at
         self.hit = prim >= 0
@@ -50,12 +50,12 @@ class WrongPixels:
         self.n = at.n if judge.n is None else judge.n[rows]  # the subject's
         self.t_rounding = np.broadcast_to(judge.answer.t_rounding, judge.answer.t.shape)[rows]
 
-    def take(self, some: np.ndarray) -> "WrongPixels":
+    def take(self, some: Array) -> "WrongPixels":
         """A subset, by mask or index."""
         return WrongPixels(self.judge, self.rows[some], self.prim[some], self.t[some], self.at.take(some))
 
     @cached_property
-    def off(self) -> np.ndarray:
+    def off(self) -> Array:
         """(m,) bool: hit, miss or t is wrong."""
         other = self.given_hit != self.hit
         if self.judge.answer.hits_only:
@@ -63,12 +63,12 @@ class WrongPixels:
         wrong_t = ~(np.abs(self.given_t - self.t) <= self.at.t_error + self.t_rounding)
         return other | (self.given_hit & self.hit & wrong_t)
 
-    def right_under(self, hit: np.ndarray, t: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    def right_under(self, hit: Array, t: Array, bound: Array) -> Array:
         """(m,) bool: the subject's hit or miss and its t agree with a prediction, within FIT_FACTOR times the bound.
 
         A larger difference is accepted if it is at most a hundredth of the error and a ten-thousandth of t.
         """
-        same: np.ndarray = self.given_hit == hit
+        same: Array = self.given_hit == hit
         if self.judge.answer.hits_only:
             return same
         left = np.abs(self.given_t - t)
@@ -86,7 +86,7 @@ class WrongPixels:
         return self.judge.bracket.possible_hits(self.o, self.d, t_max, np.full(len(self.rows), -np.inf))
 
 
-Predicts = Callable[[WrongPixels], np.ndarray]  # (m,) bool: the subject answers as if it made the mistake
+Predicts = Callable[[WrongPixels], Array]  # (m,) bool: the subject answers as if it made the mistake
 
 # What a mistake claims beyond the pixels that it explains. SURFACES: nearly all right pixels agree with it. PIXELS: and
 # more than a few pixels are wrong. IMAGE: and it explains nearly all wrong hits, not misses alone.
@@ -104,7 +104,7 @@ class Mistake(NamedTuple):
     same_surface: bool = False  # the right surface is hit, so that its normal is judged as well
 
 
-Explanation = tuple[Mistake, np.ndarray]  # and (m,) bool: the pixels that it explains
+Explanation = tuple[Mistake, Array]  # and (m,) bool: the pixels that it explains
 
 
 def explanations(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Iterator[Explanation]:
@@ -140,7 +140,7 @@ def _kept(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Itera
             yield mistake, fits
 
 
-def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
+def _explains_hits(f: WrongPixels, fits: Array) -> bool:
     """Whether nearly all wrong pixels fit, and not misses alone."""
     hits = fits[f.given_hit]
     return bool(fits.mean() >= NEARLY_ALL and hits.sum() >= max(NEARLY_ALL * len(hits), MIN_FITTED_PIXELS))
@@ -213,12 +213,12 @@ IN_FLOAT32 = "computed in float32: right by float32's bounds, and given as float
 FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
 
 
-def _of_nearly_all(fits: np.ndarray) -> np.ndarray:
+def _of_nearly_all(fits: Array) -> Array:
     """(m,) bool: the pixels that a mistake fits, if these are nearly all."""
     return fits & (fits.mean() >= NEARLY_ALL)
 
 
-def _as_in_float32(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def _as_in_float32(error: Array, bound: Array) -> Array:
     """(m,) bool: errors within float32's bounds, if most of them are as large as float32 makes them."""
     ratio = np.abs(error) / bound
     fits = _of_nearly_all(ratio <= 1.0)
@@ -229,38 +229,46 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     """t at the right surface, of other numbers than those that are traced, or with the rounding of others."""
     described = described_model(f.judge.scene) if f.judge.pair.rays.is_list else None
 
-    def of_described(g: WrongPixels) -> np.ndarray:
+    def of_described(g: WrongPixels) -> Array:
         at = intersections_at(described or g.judge.model, g.prim, (g.o, g.d), g.t, KU_OURS, ours=True)
         return g.right_under(g.hit, at.t, at.t_error) & g.hit
 
-    def of_points(g: WrongPixels) -> np.ndarray:
+    def of_points(g: WrongPixels) -> Array:
         length = norm(g.d)
         rounding = KU_OURS * (norm(g.o) + np.abs(g.t) * length) / length
         near = np.abs(g.given_t - g.t) <= rounding + g.at.t_error
         return _of_nearly_all(g.given_hit & g.hit & near)
 
-    def in_float32(g: WrongPixels) -> np.ndarray:
+    def in_float32(g: WrongPixels) -> Array:
         bound = g.at.t_error * (KU / KU_OURS) + g.t_rounding
         return _as_in_float32(np.where(g.given_hit & g.hit, g.given_t - g.t, np.inf), bound)
 
     if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
-        what = "hits of the scene file's own numbers; the judge traces them rounded to float32"
-        remedy = "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that"
-        yield Mistake(what, remedy, of_described, single=True, same_surface=True)
+        yield Mistake(
+            "hits of the scene file's own numbers; the judge traces them rounded to float32",
+            "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that",
+            of_described,
+            single=True,
+            same_surface=True,
+        )
         return
-    what = "t has the rounding of a point's coordinates, as (p - o) . d / d . d has"
-    remedy = "return the t of the intersection, not that of the hit point"
-    yield Mistake(what, remedy, of_points, single=True, same_surface=True)
+    yield Mistake(
+        "t has the rounding of a point's coordinates, as (p - o) . d / d . d has",
+        "return the t of the intersection, not that of the hit point",
+        of_points,
+        single=True,
+        same_surface=True,
+    )
     yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
 
 
-Quantity = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray | float]]  # (its values, its change with t)
+Quantity = Callable[[WrongPixels], tuple[Array, Array | float]]  # (its values, its change with t)
 
 
 def _quantity(what: str, remedy: str, values: Quantity, claim: int = NOTHING, *, single: bool = False) -> Mistake:
     """Another quantity in place of t."""
 
-    def predicts(g: WrongPixels) -> np.ndarray:
+    def predicts(g: WrongPixels) -> Array:
         t, slope = values(g)
         return g.right_under(g.hit, t, g.at.t_error * np.abs(slope)) & g.hit
 
@@ -302,10 +310,10 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
     h, w = shape
     rows = np.arange(h * w).reshape(h, w)
 
-    def order(what: str, remedy: str, there: np.ndarray) -> Mistake:
+    def order(what: str, remedy: str, there: Array) -> Mistake:
         """there: for each row, the row whose answer the subject gives."""
 
-        def predicts(g: WrongPixels) -> np.ndarray:
+        def predicts(g: WrongPixels) -> Array:
             result, places = g.judge.result, there.ravel()[g.rows]
             t = result.t.astype(np.float64)[places]
             return g.right_under(result.hit[places], t, MATCH_RTOL * np.abs(t))
@@ -314,8 +322,9 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
 
     if is_list:
         for step in (1, -1):
-            what = f"the answers are moved by {step} ray"
-            yield order(what, "return them in the order of the rays", np.roll(rows, step))
+            yield order(
+                f"the answers are moved by {step} ray", "return them in the order of the rays", np.roll(rows, step)
+            )
         return
     yield order("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
     yield order("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
@@ -324,14 +333,17 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
         yield order("the image is transposed, x for y", "rows come first: index y * width + x", there)
     for y, x in product((0, 1, -1), repeat=2):
         if x or y:
-            what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
-            yield order(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
+            yield order(
+                f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down",
+                "look for an index that counts from 1",
+                np.roll(rows, (y, x), (0, 1)),
+            )
 
 
 # ---- other rays
 
 
-def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False, t_factor: float = 1.0) -> np.ndarray:
+def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False, t_factor: float = 1.0) -> Array:
     """(m,) bool: the subject gives the first (or last) of the roots, or a miss if there is none."""
     ray, sign = roots.ray, -1.0 if last else 1.0
     t, bound = roots.at.t * t_factor, roots.at.t_error * t_factor
@@ -348,13 +360,13 @@ def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False,
     return found
 
 
-Lines = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray]]  # (o, d) of the rays that are cast
+Lines = Callable[[WrongPixels], tuple[Array, Array]]  # (o, d) of the rays that are cast
 
 
 def _recast(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
     """The first hits along other rays, with t times a factor."""
 
-    def predicts(g: WrongPixels) -> np.ndarray:
+    def predicts(g: WrongPixels) -> Array:
         roots = g.judge.bracket.possible_hits(*lines(g), g.judge.t_max[g.rows] / t_factor)
         return _right_among(g, roots, t_factor=t_factor)
 
@@ -364,14 +376,17 @@ def _recast(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mist
 def _beside_centers(x: float, y: float) -> Mistake:
     """Rays through another place of all pixels, x to the right and y down."""
 
-    def lines(g: WrongPixels) -> tuple[np.ndarray, np.ndarray]:
+    def lines(g: WrongPixels) -> tuple[Array, Array]:
         scene = g.judge.scene
         places = (center[g.rows] + step for center, step in zip(pixel_centers(scene), (x, y), strict=True))
         rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
         return rays.o + rays.t_min[:, None] * rays.d, rays.d
 
-    what = f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
-    return _recast(what, "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", lines)
+    return _recast(
+        f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down",
+        "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)",
+        lines,
+    )
 
 
 BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
@@ -379,7 +394,7 @@ BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5
 SAME = np.eye(3)
 
 
-def _mapped(what: str, remedy: str, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> Mistake:
+def _mapped(what: str, remedy: str, o: Array, d: Array, t_factor: float = 1.0) -> Mistake:
     """Origins and directions multiplied by matrices (3, 3) from the right."""
     return _recast(what, remedy, lambda g: (g.o @ o, g.d @ d), t_factor)
 
@@ -395,11 +410,15 @@ def _other_rays() -> Iterator[Mistake]:
         remedy = "use the same axes for rays and scene (y up or z up?)"
         yield _mapped(f"the axes of directions {what}", remedy, SAME, SAME[:, order])
         yield _mapped(f"the axes of rays {what}", remedy, SAME[:, order], SAME[:, order])
-    what = "the rays' origin is taken for (0, 0, 0)"
-    yield _mapped(what, "subtract, or add, the ray's origin", 0.0 * SAME, SAME)
+    yield _mapped("the rays' origin is taken for (0, 0, 0)", "subtract, or add, the ray's origin", 0.0 * SAME, SAME)
     for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
-        what = f"the scene is {scale:g} times as large as it should be"
-        yield _mapped(what, "use vertices in the units of the rays", SAME / scale, SAME, scale)
+        yield _mapped(
+            f"the scene is {scale:g} times as large as it should be",
+            "use vertices in the units of the rays",
+            SAME / scale,
+            SAME,
+            scale,
+        )
 
 
 OTHER_RAYS = tuple(_other_rays())
@@ -408,7 +427,7 @@ OTHER_RAYS = tuple(_other_rays())
 # ---- the wrong one of several hits
 
 
-def _least(roots: RayIntersections, t: np.ndarray) -> np.ndarray:
+def _least(roots: RayIntersections, t: Array) -> Array:
     """(r,) the smallest t, (r,), of the same ray and primitive."""
     pair = row_groups(np.column_stack([roots.ray, roots.prim]))
     smallest = np.full(len(pair), np.inf)
@@ -416,14 +435,14 @@ def _least(roots: RayIntersections, t: np.ndarray) -> np.ndarray:
     return smallest[pair]
 
 
-def _is_first_ahead(g: WrongPixels) -> np.ndarray:
+def _is_first_ahead(g: WrongPixels) -> Array:
     """(r,) bool: the first root of its primitive that is ahead of the origin."""
     t = g.roots.at.t
     ahead = np.where(t > g.judge.t_min[g.rows][g.roots.ray], t, np.inf)
     return np.isfinite(ahead) & (t == _least(g.roots, ahead))
 
 
-def _is_last_prim(g: WrongPixels) -> np.ndarray:
+def _is_last_prim(g: WrongPixels) -> Array:
     """(r,) bool: the same, of the primitive with the largest number on its ray."""
     kept = _is_first_ahead(g)
     last = np.full(len(g.rows), -1)
@@ -431,7 +450,7 @@ def _is_last_prim(g: WrongPixels) -> np.ndarray:
     return kept & (g.roots.prim == last[g.roots.ray])
 
 
-def _is_tried_first(g: WrongPixels) -> np.ndarray:
+def _is_tried_first(g: WrongPixels) -> Array:
     """(r,) bool: the first root of its primitive, or one whose first root is not behind the origin."""
     first = _least(g.roots, g.roots.at.t)
     return (g.roots.at.t == first) | (first >= 0.0)
@@ -440,7 +459,7 @@ def _is_tried_first(g: WrongPixels) -> np.ndarray:
 def _selection(what: str, remedy: str, kept: Predicts, *, last: bool = False, single: bool = False) -> Mistake:
     """A caster that considers only some intersections. kept: (r,) bool of the roots of its pixels."""
 
-    def predicts(g: WrongPixels) -> np.ndarray:
+    def predicts(g: WrongPixels) -> Array:
         return _right_among(g, g.roots.take(kept(g)), last=last) & (g.hit | ~g.given_hit)
 
     return Mistake(what, remedy, predicts, SURFACES, single)
@@ -448,8 +467,11 @@ def _selection(what: str, remedy: str, kept: Predicts, *, last: bool = False, si
 
 def _culled(what: str, sign: float) -> Mistake:
     """A caster that skips surfaces with sign n . d >= 0."""
-    remedy = "hit both sides: no test of the sign of the determinant or of n . d"
-    return _selection(what, remedy, lambda g: sign * dot(g.roots.at.n, g.d[g.roots.ray]) < 0.0)
+    return _selection(
+        what,
+        "hit both sides: no test of the sign of the determinant or of n . d",
+        lambda g: sign * dot(g.roots.at.n, g.d[g.roots.ray]) < 0.0,
+    )
 
 
 SELECTIONS = (
@@ -490,19 +512,27 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
     if len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
-        remedy = "return the number of the primitive in the order of the scene, or leave the column out"
-        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
+        yield Mistake(
+            f"{who} named at all {hit.sum()} hits",
+            "return the number of the primitive in the order of the scene, or leave the column out",
+            lambda g: g.hit,
+            same_surface=True,
+        )
     for column in columns:
         yield from _column_mistakes(*column)
 
 
-def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:
+def _column_mistakes(name: str, ids: Array, number: Callable[[Array], Array]) -> Iterator[Mistake]:
     """Of one column (judge/adjudication.py:id_columns)."""
 
     def off_by(step: int, cure: str) -> Mistake:
-        what = f"the {name}'s number is off by one ({step:+d})"
-        remedy = f"numbers count from 0: {cure} 1"
-        return Mistake(what, remedy, lambda g: ids[g.rows] == number(g.prim) + step, SURFACES, same_surface=True)
+        return Mistake(
+            f"the {name}'s number is off by one ({step:+d})",
+            f"numbers count from 0: {cure} 1",
+            lambda g: ids[g.rows] == number(g.prim) + step,
+            SURFACES,
+            same_surface=True,
+        )
 
     yield off_by(1, "subtract")
     yield off_by(-1, "add")
@@ -514,7 +544,7 @@ def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], 
     )
 
 
-def _names_another_hit(g: WrongPixels) -> np.ndarray:
+def _names_another_hit(g: WrongPixels) -> Array:
     """(m,) bool: the same ray hits the named primitive at another t."""
     ray, at = g.roots.ray, g.roots.at
     other = np.abs(at.t - g.t[ray]) > g.at.t_error[ray] + at.t_error
@@ -528,7 +558,7 @@ def _names_another_hit(g: WrongPixels) -> np.ndarray:
 # ---- normals
 
 
-def has_wrong_normal(f: WrongPixels) -> np.ndarray:
+def has_wrong_normal(f: WrongPixels) -> Array:
     """(m,) bool."""
     if f.judge.n is None:
         return np.zeros(len(f.rows), bool)
@@ -538,9 +568,9 @@ def has_wrong_normal(f: WrongPixels) -> np.ndarray:
 def _normal(what: str, remedy: str, predicted: Predicts, claim: int = NOTHING, *, single: bool = False) -> Mistake:
     """Other normals, predicted (m, 3), in place of the right ones. Unless `single`, those must not be all alike."""
 
-    def predicts(g: WrongPixels) -> np.ndarray:
+    def predicts(g: WrongPixels) -> Array:
         n = predicted(g)
-        fits: np.ndarray = row_distance(g.n, n) <= MATCH_RTOL
+        fits: Array = row_distance(g.n, n) <= MATCH_RTOL
         fits &= (row_distance(n, g.at.n) > DISTINCT_RTOL) | ~has_wrong_normal(g)
         some = g.at.n[fits]
         return fits & (single or bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL))
@@ -548,7 +578,7 @@ def _normal(what: str, remedy: str, predicted: Predicts, claim: int = NOTHING, *
     return Mistake(what, remedy, predicts, claim, single, same_surface=True)
 
 
-def _mapped_normal(what: str, remedy: str, matrix: np.ndarray) -> Mistake:
+def _mapped_normal(what: str, remedy: str, matrix: Array) -> Mistake:
     """Normals multiplied by a matrix (3, 3) from the right."""
     return _normal(what, remedy, lambda g: g.at.n @ matrix)
 
@@ -559,16 +589,22 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if f.judge.scene.camera.type != "ray":
         axes = np.asarray(camera_axes(f.judge.scene.camera)).T
         for signs in product((1.0, -1.0), repeat=3):
-            what = "the normal is in the camera's axes in place of the world's"
-            yield _mapped_normal(what, "turn it by the camera's matrix", axes * signs)
+            yield _mapped_normal(
+                "the normal is in the camera's axes in place of the world's",
+                "turn it by the camera's matrix",
+                axes * signs,
+            )
     yield from OTHER_NORMALS
     if f.judge.answer.precision == FLOAT32:
-        what = "the normal is computed from corners minus the ray's origin, and lost digits there"
-        remedy = "compute it from the edges of the face, or in float64"
-        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin, same_surface=True)
+        yield Mistake(
+            "the normal is computed from corners minus the ray's origin, and lost digits there",
+            "compute it from the edges of the face, or in float64",
+            _is_of_corners_seen_from_the_origin,
+            same_surface=True,
+        )
     if _claims_float64(f):
 
-        def in_float32(g: WrongPixels) -> np.ndarray:
+        def in_float32(g: WrongPixels) -> Array:
             return _as_in_float32(row_distance(g.n, g.at.n), g.at.n_error * (KU / KU_OURS))
 
         yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
@@ -596,14 +632,20 @@ def _other_normals() -> Iterator[Mistake]:
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if order != (0, 1, 2) or len(set(signs)) > 1:
             names = ", ".join("-"[: s < 0] + "xyz"[i] for i, s in zip(order, signs, strict=True))
-            what = f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)"
-            yield _mapped_normal(what, "use the same axes for normals and scene", SAME[:, order] * signs)
-    what = "the normal is stored as a colour, (n + 1) / 2"
-    yield _normal(what, "return n itself, from -1 to 1", lambda g: unit(g.at.n + 1.0))
-    what = "the position in place of the normal"
-    yield _normal(what, "subtract the centre", lambda g: unit(g.o + g.t[:, None] * g.d))
-    what = "one normal everywhere"
-    yield _normal(what, "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape))
+            yield _mapped_normal(
+                f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)",
+                "use the same axes for normals and scene",
+                SAME[:, order] * signs,
+            )
+    yield _normal(
+        "the normal is stored as a colour, (n + 1) / 2", "return n itself, from -1 to 1", lambda g: unit(g.at.n + 1.0)
+    )
+    yield _normal(
+        "the position in place of the normal", "subtract the centre", lambda g: unit(g.o + g.t[:, None] * g.d)
+    )
+    yield _normal(
+        "one normal everywhere", "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape)
+    )
 
 
 OTHER_NORMALS = tuple(_other_normals())
@@ -612,7 +654,7 @@ OTHER_NORMALS = tuple(_other_normals())
 MAX_SHARE_OF_ERROR_LEFT = 0.5
 
 
-def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> np.ndarray:
+def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> Array:
     """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
     corners = triangle_corners(g.judge, g.prim)
     seen = (corners.astype(np.float32) - g.o.astype(np.float32)[:, None]).astype(np.float64)
@@ -620,7 +662,7 @@ def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> np.ndarray:
     return (left <= FIT_FACTOR * g.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
 
 
-def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
+def triangle_corners(judge: Judge, prim: Array) -> Array:
     """(m, 3, 3) corners of primitives; NaN for those that are no triangles."""
     packed = judge.model.packed
     corners = np.full((len(prim), 3, 3), np.nan)
@@ -632,12 +674,12 @@ def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
     return corners
 
 
-def area_vectors(corners: np.ndarray) -> np.ndarray:
+def area_vectors(corners: Array) -> Array:
     """(m, 3) normals of triangles (m, 3, 3), twice as long as their area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def range_text(sizes: np.ndarray) -> str:
+def range_text(sizes: Array) -> str:
     """From the smallest to the largest."""
     low, high = f"{sizes.min():.2g}", f"{sizes.max():.2g}"
     return low if low == high else f"{low} to {high}"

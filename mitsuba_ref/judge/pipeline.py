@@ -226,7 +226,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         findings=findings(judge, diagnosis),
         notes=(
             *(original.coverage.lines() if (original := original_of(task.scene)) else ()),
-            *(notes_on_bounce(task.bounce, kinds) if task.bounce else _notes_on_hits(judge, judgement)),
+            *(_notes_on_bounce(task.bounce, kinds) if task.bounce else _notes_on_hits(judge, judgement)),
             *(() if task.ours else (*answer.notes, *response.limits)),
             *(f"{each.name}: {each.what}" for each in checks if each.what.startswith(NOT_JUDGED)),
         ),
@@ -251,7 +251,7 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
     )
 
 
-def notes_on_bounce(film: BounceFilm, kinds: dict[str, dict[str, int]]) -> Iterator[str]:
+def _notes_on_bounce(film: BounceFilm, kinds: dict[str, dict[str, int]]) -> Iterator[str]:
     """The rays of each kind, and how many are not judged."""
     yield f"rays: {kinds_text(kinds)}"
     for why, count in film.bounce.left_out.items():

@@ -1,31 +1,255 @@
-"""One pixel: both answers, the bound of each quantity, every primitive that may be hit; as text for a terminal."""
+"""One pixel: the answer of every witness, bounds, every primitive that may be hit; as text for a terminal.
+
+The witnesses are ours, a candidate, exact arithmetic, and Mitsuba in each of its variants and modes.
+"""
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
+from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from caster.system.terminal import folded
-from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.bounds import aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import latest_hits
-from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
+from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
+from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
+from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of, reference_prims
 from mitsuba_ref.judge.diagnosis import diagnose
-from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_reason, not_judged, tie_members
-from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED, json_number
+from mitsuba_ref.judge.explanations import (
+    MAX_TIES_SHOWN,
+    decimal_and_hex,
+    exact_answer,
+    exceeded_bounds,
+    full_reason,
+    not_judged,
+    pixel_answers,
+    tie_members,
+)
+from mitsuba_ref.judge.pipeline import Task, further_rays
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, UNDECIDED, UNLISTED, WRONG, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.candidate_pixel import CandidatePixel, Explained, case_text, probe_candidate
-from mitsuba_ref.probe.path import PathRay, follow_path, path_lines
-from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers, witness_lines
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
+from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.subject import COMPARED_AOVS, OURS, Subject
+from mitsuba_ref.subjects.bounce_films import bounce_films
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import COMPARED_AOVS, OURS, NoAnswer, Subject
+
+# ---- witnesses
+
+CANDIDATE = "candidate"
+WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
+MISSING = "does not work here"
+MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
+
+
+@dataclass(frozen=True)
+class WitnessAnswer:
+    """One witness's answer for the ray, compared with exact arithmetic."""
+
+    who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
+    shape: str = ""  # "miss" on a miss
+    prim: int = -1  # within its shape, -1 on a miss
+    t: float = math.nan
+    right: bool | None = None  # names a surface that is hit exactly, with t within its bound; None: undecided
+    off: float | None = None  # t minus the exact t; None on a miss, or if another surface is hit
+    ulps: float | None = None  # `off` in units of the last place of `format`
+    format: str = ""  # float32 or float64, in which it computes
+    share: float | None = None  # |off| over its bound in `format`
+    problem: str = ""  # why there is no answer
+    normal_share: float | None = None  # error of the normal over its bound, if that is judged
+    remark: str = ""  # defects of the answer itself
+
+
+def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
+    """The answers of all witnesses. judge: of a window of one pixel."""
+    ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
+    rows = [compared_with_exact(ours, judge, answer, np.float64)]
+    if answer is not None:
+        t = np.inf if answer.t is None else float(answer.t)
+        rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), t, right=True))
+    rows += [_of_mitsuba(f"mitsuba {variant}", found, judge, answer) for variant, found in mitsuba_answers(judge)]
+    return tuple(rows)
+
+
+def mitsuba_answers(judge: Judge) -> list[tuple[str, ReferenceResult | Crash | str]]:
+    """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
+    result, given = judge.result, judge.result.answer.versions["variant"]
+    works = {*variants.usable_variants().names, given}
+
+    def ask(variant: str) -> list[tuple[str, ReferenceResult | Crash | str]]:
+        answers: dict[str, ReferenceResult | Crash | str] = {}
+        for mode, robust in MODES.items():
+            if (variant, robust) == (given, result.robust):
+                answers[mode] = result
+            elif variant in works:
+                rays = judge.pair.rays
+                answers[mode] = trace_reference(
+                    judge.scene, judge.model, rays, variant=variant, lights=False, robust=robust
+                )
+            else:
+                answers[mode] = MISSING
+        return [(f"{variant} {mode}", answer) for mode, answer in answers.items()]
+
+    with ThreadPoolExecutor() as pool:
+        return list(chain.from_iterable(pool.map(ask, dict.fromkeys((*variants.VARIANT_NAMES, given)))))
+
+
+def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
+    """(shape, number within the shape) of a primitive of the scene."""
+    if prim < 0:
+        return "miss", -1
+    return named_prims(judge.scene, judge.model.packed, np.array([prim]))[0]
+
+
+def _of_mitsuba(
+    who: str, found: ReferenceResult | Crash | str, judge: Judge, exact: ExactAnswer | None
+) -> WitnessAnswer:
+    if not isinstance(found, ReferenceResult):
+        problem = found if isinstance(found, str) else f"no answer ({found.exit}): {found.headline}"
+        return WitnessAnswer(who, problem=problem)
+    surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
+    return compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
+
+
+def compared_with_exact(
+    claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
+) -> WitnessAnswer:
+    """An answer compared with the exact one. kind: the type that it was computed in."""
+    witness = WitnessAnswer(*claimed, format=np.dtype(kind).name)
+    if exact is None:
+        return witness
+    surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
+    if claimed[1:3] not in surfaces:
+        return replace(witness, right=False)
+    ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
+    at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
+    found = with_error_of_t(witness, exact, at.t_error)
+    return replace(found, right=found.share is None or found.share <= 1.0)
+
+
+def as_witness(judge: Judge, row: int) -> WitnessAnswer:
+    """The candidate's row among the witnesses: errors of t and of the normal, from the exact hit that fits best."""
+    answer = judge.answer.rows(np.array([row]))
+    what, t = "a hit" if answer.hit[0] else "miss", float(answer.t[0])  # it names no shape
+    claimed = WitnessAnswer(CANDIDATE, what, -1, t, format=answer.precision, remark=", ".join(answer.broken))
+    if judge.t_max[row] < 0.0:
+        return claimed
+    adjudicated = judge.adjudicated(np.array([row]))
+    (exact,) = adjudicated.answers
+    if exact is None:
+        return claimed
+    prims = exact.prims
+    at = judge.near(np.full(len(prims), row), prims, np.full(len(prims), np.nan if exact.t is None else float(exact.t)))
+    found = with_error_of_t(claimed, exact, at.t_error + answer.t_rounding)
+    if found.share is not None and answer.n is not None and not found.remark:
+        shares = ratio_to_bound(row_distance(answer.n.repeat(len(prims), axis=0), at.n), at.n_error)
+        found = replace(found, normal_share=float(shares.min()))
+    return replace(found, right=bool(adjudicated.right[0] and not found.remark))
+
+
+def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: np.ndarray) -> WitnessAnswer:
+    """The witness with the error of its t, as a share of the loosest bound; unchanged where either misses."""
+    if exact.t is None or not np.isfinite(witness.t):
+        return witness
+    off = exact.t.off(witness.t) * -exact.t.compare(witness.t)
+    share = float(ratio_to_bound(np.abs(off), bounds).min())
+    return replace(witness, off=off, ulps=in_ulps(off, exact, np.dtype(witness.format)), share=share)
+
+
+def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
+    """`off` in units of the last place of the exact t in a format; None if that overflows."""
+    assert exact.t is not None
+    with np.errstate(over="ignore", under="ignore"):
+        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
+    return off / ulp if np.isfinite(ulp) else None
+
+
+def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """A table for a terminal, without the exact answer; empty for a pixel without a ray."""
+    shown = [each for each in found if each.who != EXACT]
+    surface = max((len(_surface_text(each)) for each in shown), default=0)
+    for each in shown:
+        verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
+        verdict = "allowed" if _is_loose(each) else verdict
+        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}  {_error_text(each)}"
+        yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
+    if any(each.problem == MISSING for each in found):
+        yield f"  {MISSING}: {variants.usable_variants().why}"
+
+
+def t_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """t of each that hits, in decimal and to the bit."""
+    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in found if np.isfinite(each.t))
+
+
+def _surface_text(each: WitnessAnswer) -> str:
+    return f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape
+
+
+def _error_text(each: WitnessAnswer) -> str:
+    """The errors of an answer as text, with those beyond their bounds."""
+    parts = []
+    if each.ulps is not None:
+        parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
+    if _is_loose(each) and each.off:
+        parts.append(f"allowed: t is off by {100.0 * abs(each.off / each.t):.2g} %")
+    for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
+        if share is not None and not share <= 1.0:
+            parts.append(f"{what}{share:.3g}x its bound")
+    return ", ".join((*parts, *filter(None, [each.remark])))
+
+
+def _is_loose(each: WitnessAnswer) -> bool:
+    """Whether t is right only because its bound is loose."""
+    return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))
+
+
+# ---- verdicts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """The class of one ray, and why."""
+
+    verdict: str
+    why: str = ""
+    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
+    problem: str = ""  # why there is nothing to judge
+
+    @property
+    def ok(self) -> bool:
+        return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidatePixel(Explained):
+    """The verdict on one pixel of a candidate."""
+
+    name: str
+    precision: str = ""  # by whose bounds it is judged
+    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, if given
+    notes: tuple[str, ...] = ()
+    witness: WitnessAnswer | None = None  # its row among the witnesses
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathRay(Explained):
+    """One secondary ray and its verdict."""
+
+    path: str  # a letter for each bounce, such as RTS
+    answers: tuple[str, ...] = ()  # as text: the subject's, the reference's, the exact one
 
 
 @dataclass(frozen=True)
@@ -104,7 +328,7 @@ def probe_with_evidence(
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
     whole = stand_in_rays(scene)
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
-    judge = scene_judge(scene, whole=whole, timeout=timeout)
+    judge = judge_of(request_answer(OURS, scene, whole=whole), timeout=timeout)
     if isinstance(judge, Crash):
         crash = PixelVerdict(x=x, y=y, verdict=UNDECIDED, ray=_ray(shared_rays(scene)), problem=judge.message)
         return crash, judge
@@ -114,11 +338,9 @@ def probe_with_evidence(
     witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     left = not_judged(judge, judgement, 0)
     found = PixelVerdict(
+        **_class_of(judge, judgement, diagnose(judge, judgement).by_row()),
         x=x,
         y=y,
-        verdict=CLASSES[int(judgement.classes[0])],
-        why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
-        case=case_text(judgement),
         ray=_ray(pair.rays),
         ours=_answer(scene, pair.subject, pair.t),
         reference=_answer(scene, pair.reference, pair.result.t),
@@ -132,6 +354,110 @@ def probe_with_evidence(
         path=tuple(follow_path(scene, bounces, candidate or OURS, timeout)) if bounces else None,
     )
     return found, (judge, judgement)
+
+
+def _class_of(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int = 0) -> dict[str, str]:
+    """The fields of `Explained` for a row of the image."""
+    case = {row: UNLISTED if number is None else str(number) for row, number in judgement.cases.items()}.get(row, "")
+    why = full_reason(judge, judgement, diagnosed, row)
+    return {"verdict": CLASSES[int(judgement.classes[row])], "why": why, "case": case}
+
+
+# ---- a candidate, in the words of `validate`: it answers the whole image, all of which is judged
+
+
+def probe_candidate(
+    candidate: Subject,
+    scene: Scene,
+    pixel: tuple[int, int],
+    timeout: float = DEFAULT_TIMEOUT,
+    send: SendRequest = send_stored,
+) -> CandidatePixel:
+    """Request the answer and judge it. timeout, send: as for `validate`. Raises SceneError."""
+    window = window_of(candidate, scene, *pixel)
+    try:
+        response = request_answer(candidate, window)
+    except NoAnswer as error:
+        witness = WitnessAnswer(CANDIDATE, problem="no answer")
+        return CandidatePixel(name=candidate.name, verdict=UNDECIDED, problem=str(error), witness=witness)
+    judge = judge_of(response, timeout=timeout, send=send, with_files=False)
+    if isinstance(judge, Crash):
+        return CandidatePixel(name=candidate.name, verdict=UNDECIDED, problem=judge.message)
+    x0, y0, x1, _ = window.film.window
+    row = (pixel[1] - y0) * (x1 - x0) + pixel[0] - x0
+    judgement, witness = judge.judge(), as_witness(judge, row)
+    shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
+    exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
+    diagnosis = diagnose(judge, judgement, further_rays(candidate, response.scene))
+    found = _class_of(judge, judgement, diagnosis.by_row(), row)
+    why = filter(None, (found["why"], exceeded_bounds(exceeded)))
+    found["why"] = "\n".join(["; ".join(why), *diagnosis.evidence_at(row)])
+    if row in judgement.not_adjudicated and witness.right is False:  # but here it is adjudicated
+        found["verdict"] = WRONG
+    return CandidatePixel(
+        **found,
+        name=candidate.name,
+        precision=judge.answer.precision,
+        says=_answer_record(judge, row),
+        notes=(*judge.answer.notes, *response.limits),
+        witness=witness,
+    )
+
+
+def window_of(candidate: Subject, scene: Scene, x: int, y: int) -> Scene:
+    """The scene with the window that `validate` judges this pixel in; with the whole film where the crop is without."""
+    whole = scene.with_film(crop=(0, 0, scene.film.width, scene.film.height))
+    windows = (window for film in (scene, whole) for window in Task(film, "", subject=candidate).windows())
+    for window in windows:
+        x0, y0, x1, y1 = window.film.window
+        if x0 <= x < x1 and y0 <= y < y1:
+            break
+    return window
+
+
+def _answer_record(judge: Judge, row: int) -> dict[str, Any]:
+    """The answer for JSON; the normal has length 1, or is NaN where it was not finite."""
+    aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[row]), float(judge.answer.t[row])
+    names = [name for name in ("depth", "normal") if name in aovs and (hit or name == "depth")]
+    return {"hit": hit, "t": t} | {name: aov_rows(aovs, name)[row].tolist() for name in names}
+
+
+# ---- secondary rays
+
+LETTERS = dict(zip(RAY_KINDS, ("", "R", "T", "S"), strict=True))
+LEGEND = "\nsecondary rays by their paths: R reflected, T refracted, S to a light"
+
+
+def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> Iterator[PathRay]:
+    """All rays that come from the pixels of a film, which has one, bounce after bounce. Raises NoAnswer."""
+    paths = [""]
+    for film in bounce_films(scene, depth):
+        rays = film.bounce.rays
+        paths = [paths[parent] + LETTERS[RAY_KINDS[kind]] for parent, kind in zip(rays.parent, rays.kind, strict=True)]
+        judge = judge_of(request_answer(subject, film.scene, rays=film.rays), timeout=timeout)
+        if isinstance(judge, Crash):
+            yield PathRay(path=paths[0], verdict=UNDECIDED, problem=judge.message)
+            return
+        judgement = judge.judge()
+        diagnosed = diagnose(judge, judgement).by_row()
+        for path, row in zip(paths, film.row.tolist(), strict=True):
+            answers = pixel_answers(judge, judgement, row, EXACT)
+            yield PathRay(**_class_of(judge, judgement, diagnosed, row), path=path, answers=answers)
+
+
+def path_lines(rays: Sequence[PathRay]) -> Iterator[str]:
+    """A line for each ray; where the answers do not agree, all of them."""
+    yield LEGEND if rays else "\nno secondary rays"
+    width = max((len(each.path) for each in rays), default=0)
+    for each in rays:
+        answer, *others = *each.answers, each.problem or each.why
+        yield f"  {each.path:<{width}}  {each.verdict.replace('_', ' ')}: {answer}"
+        if each.verdict != AGREE:
+            names = ("Mitsuba:", "exact:", "why:")
+            yield from (f"  {'':<{width}}    {name:<8} {words}" for name, words in zip(names, others, strict=False))
+
+
+# ---- for JSON
 
 
 def _ray(rays: SharedRays) -> dict[str, Any]:
@@ -155,16 +481,14 @@ def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
 
 def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
     """All primitives that the reference may hit, nearest first."""
-    rays, bracket, packed = judge.pair.rays, judge.reference_bracket, judge.model.packed
+    rays, bracket = judge.pair.rays, judge.reference_bracket
     t_max = rays.t_max.astype(np.float64)
     found = bracket.possible_hits(rays.o.astype(np.float64), rays.d.astype(np.float64), t_max)
     certain = np.isfinite(latest_hits(found, t_max))
-    shape, prim = packed.shape_of(found.prim), packed.index_in_shape(found.prim)
-    names = scene.shape_names()
+    surfaces = named_prims(scene, judge.model.packed, found.prim)
     for i in np.argsort(found.at.t, kind="stable"):
-        yield PossibleHit(
-            names[shape[i]], int(prim[i]), float(found.at.t[i]), float(found.at.t_error[i]), bool(certain[i])
-        )
+        shape, prim = surfaces[i]
+        yield PossibleHit(shape, prim, float(found.at.t[i]), float(found.at.t_error[i]), bool(certain[i]))
 
 
 def _numbers(values: Any) -> Any:
@@ -181,6 +505,8 @@ def _json_value(value: Any) -> Any:
         return [_json_value(each) for each in value]
     return json_number(value) if isinstance(value, float) else value
 
+
+# ---- for a terminal
 
 MAX_PRIMS_SHOWN = 12  # primitives; --json has all
 

@@ -1,10 +1,10 @@
 """Reproducers: one pixel as a scene file of its own, exact to the bit; and replay commands."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +12,11 @@ from caster.cameras.single_ray import Ray
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.scene.model import Film, Scene
+from caster.scene.model import Scene
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
 from mitsuba_ref.judge.explanations import format_defect, reproducer_header
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
@@ -23,52 +24,43 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.shapes import kind_of, reference_of
-from mitsuba_ref.subjects.subject import kept_fields, packs_identically
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import OURS, kept_fields, packs_identically
 
 
-class Reproducer(NamedTuple):
-    """A scene of one pixel, and notes on what differs from the original scene."""
-
-    scene: Scene
-    prims: tuple[int, ...]  # numbers of its primitives in the scene it was taken from
-    notes: tuple[str, ...]
-
-    def text(self, head: Sequence[str]) -> str:
-        """The scene file. head: comment lines at its beginning, first the purpose of the file."""
-        lines = [*head, *(f"note: {note}" for note in self.notes)]
-        comment = "".join(f"# {line}".rstrip() + "\n" for line in lines)
-        return f"{comment}\n{self.scene.to_toml()}"
+def write_scene(path: Path, scene: Scene, head: Iterable[str]) -> None:
+    """Write a scene file. head: comment lines at its beginning, first the purpose of the file. Raises OutputError."""
+    comment = "".join(f"# {line}".rstrip() + "\n" for line in head)
+    write_text(path, f"{comment}\n{scene.to_toml()}")
 
 
-def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
-    """A scene of the ray of one pixel and the primitives that it may hit.
+def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Iterable[str]]:
+    """A scene of the ray of one pixel and the primitives that it may hit; notes on what differs from its scene.
 
     lit: with lights, and primitives that may shadow the hit. Raises SceneError for a pixel without a ray.
     """
     rays, scene = judge.pair.rays.for_reference(), judge.scene
     if rays.t_max[row] < 0.0:
         raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
-    t_max = float(rays.t_max[row])
-    camera = Ray(origin=rays.o[row], direction=rays.d[row], t_max=t_max if np.isfinite(t_max) and t_max > 0.0 else None)
-    prims = tuple(sorted(involved_prims(judge, row, lit)))
     shapes: list[dict[str, Any]] = []
     notes: list[str] = []
-    for prim in prims:
+    for prim in sorted(involved_prims(judge, row, lit)):
         shape, note = shape_of(judge, prim)
         if shape not in shapes:
             shapes.append(shape)
         notes += note
     used = {shape["material"] for shape in shapes if shape.get("material")}
+    ray = scene_of_ray(scene, rays.o[row], rays.d[row], float(rays.t_max[row]))
     parts: dict[str, Any] = {
-        "film": Film(width=1, height=1),
-        "camera": camera,
+        "film": ray.film,
+        "camera": ray.camera,
         "lights": scene.lights if lit else (),
         "materials": {name: scene.materials[name] for name in scene.materials if name in used},
         "shapes": shapes,
         "shading": scene.shading,
         "checks": scene.checks,
     }
-    return Reproducer(Scene(**parts), prims, tuple(dict.fromkeys(notes)))
+    return Scene(**parts), dict.fromkeys(notes)
 
 
 def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
@@ -101,11 +93,11 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     except (SceneError, LookupError):
         shape, kept = {}, False
     if not kept:  # as it was described, with all its primitives
-        note = f"{judge.scene.shape_names()[i]} is here as a whole, as it was described"
+        note = f"note: {judge.scene.shape_names()[i]} is here as a whole, as it was described"
         return whole.model_dump(by_alias=True, exclude_none=True), [note]
     notes = []
     if note := reference_of(whole).stand_in_note:
-        notes.append(note)
+        notes.append(f"note: {note}")
     return shape | {"name": name, **kept_fields(whole)}, notes
 
 
@@ -142,7 +134,8 @@ def write_reproducers(
                 place = (
                     f"{name}, ray {first_ray + row} of t_min {float(judge.t_min[row])!r}; below in float32, from t_min"
                 )
-                write_text(path, reproducer(judge, row).text([*reproducer_header(judge, judgement, row, label, place)]))
+                alone, notes = reproducer(judge, row)
+                write_scene(path, alone, [*reproducer_header(judge, judgement, row, label, place), *notes])
             else:
                 write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
     files = list(dict.fromkeys(files))  # a ray may have two causes
@@ -150,7 +143,7 @@ def write_reproducers(
     for number, failure in enumerate(seen.wrong_rays):
         files.append(f"{name}.{failure.label}.{number}.toml")
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
-        write_text(folder / files[-1], Reproducer(failure.scene, (), ()).text(head))
+        write_scene(folder / files[-1], failure.scene, head)
     return tuple(files), left_out
 
 
@@ -173,17 +166,20 @@ def write_reproducer(
 
     Raises OutputError, SceneError.
     """
-    found = reproducer(judge, row, lit=bool("diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0))
-    same, words = reproduces(found, judge, judgement, row)
+    alone, notes = reproducer(
+        judge, row, lit=bool("diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0)
+    )
+    same, words = reproduces(alone, judge, judgement, row)
     verdict = CLASSES[int(judgement.classes[row])]
     what = f"{verdict}, {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else verdict
-    write_text(path, found.text([*reproducer_header(judge, judgement, row, what, source), words, *more]))
+    head = reproducer_header(judge, judgement, row, what, source)
+    write_scene(path, alone, [*head, words, *more, *notes])
     return same
 
 
-def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
+def reproduces(alone: Scene, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
     """(whether the scene alone gives the same class and the same answer of Mitsuba, the result as text)."""
-    again = scene_judge(found.scene)
+    again = judge_of(request_answer(OURS, alone))
     if isinstance(again, Crash):
         return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."
     verdict, before = (CLASSES[int(code)] for code in (again.judge().classes[0], judgement.classes[row]))

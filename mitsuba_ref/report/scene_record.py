@@ -16,6 +16,7 @@ from caster.aovs import Aovs
 from caster.image.image_files import encode_image
 from caster.image.previews import aov_view
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
@@ -29,7 +30,7 @@ Shape = tuple[int, int]  # height, width
 ZLIB_LEVEL = 9  # takes a tenth of a second more than the default for a scene of 256 x 256 pixels
 
 
-def packed(values: np.ndarray) -> Part:
+def packed(values: Array) -> Part:
     """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}, without loss."""
     flat = np.ascontiguousarray(values.T, values.dtype.newbyteorder("<")).ravel()
     planes = flat.view(np.uint8).reshape(-1, flat.itemsize).T
@@ -67,7 +68,7 @@ CODES = {  # for the page
 }
 
 
-def image(codes: np.ndarray, shape: Shape, *, smooth: bool = True) -> Part:
+def image(codes: Array, shape: Shape, *, smooth: bool = True) -> Part:
     """Pack (n,) or (n, c) integers, folded to be >= 0. smooth: as their differences from the plane through three
     neighbours, which are small in a smooth image and large in noise."""
     planes = codes.reshape(*shape, -1).astype(np.int64)
@@ -78,7 +79,7 @@ def image(codes: np.ndarray, shape: Shape, *, smooth: bool = True) -> Part:
     return packed(folded.astype(np.min_scalar_type(folded.max(initial=0)))) | about
 
 
-def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def value_codes(values: Array, steps: Array) -> Array:
     """(n, c) multiples of a step, one a channel."""
     with np.errstate(invalid="ignore", over="ignore"):
         most = np.where(np.isinf(values), INF_CODE, LARGEST_CODE)
@@ -86,7 +87,7 @@ def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(values), NAN_CODE, codes).astype(np.int64)
 
 
-def value_steps(values: np.ndarray) -> np.ndarray:
+def value_steps(values: Array) -> Array:
     """(c,) the steps of the channels of (n, c) values: a 255th of the range of most of them."""
     known = values[np.isfinite(values).all(axis=1)]
     low, high = np.quantile(known / STEPS, MOST, axis=0) if len(known) else np.zeros((2, values.shape[1]))
@@ -94,7 +95,7 @@ def value_steps(values: np.ndarray) -> np.ndarray:
     return np.where(steps > 0.0, steps, 1.0)
 
 
-def share_codes(shares: np.ndarray) -> np.ndarray:
+def share_codes(shares: Array) -> Array:
     """(n,) codes of shares of bounds, rounded up: a share of 1 is ENTIRE, and more than 1 is more."""
     with np.errstate(divide="ignore", invalid="ignore"):
         codes = np.ceil(STEPS_AN_OCTAVE * (np.log2(shares) + LEAST_SHARE))
@@ -102,7 +103,7 @@ def share_codes(shares: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(shares), np.clip(codes, 0, NO_BOUND - 1), NO_BOUND).astype(np.uint8)
 
 
-def error_codes(apart: np.ndarray) -> tuple[float, np.ndarray]:
+def error_codes(apart: Array) -> tuple[float, Array]:
     """(unit, (n,) codes) of the largest of each row of (n, c) differences, with its sign; the code of a unit is 1."""
     finite = np.where(np.isfinite(apart), apart, 0.0)
     error = finite[np.arange(len(finite)), np.argmax(np.abs(finite), axis=1)]
@@ -163,7 +164,7 @@ def scene_record(seen: Seen) -> SceneRecord:
     return SceneRecord(about, layers, thumbnail(ours))
 
 
-def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.ndarray:
+def rows_without_loss(seen: Seen, classes: Array, hit: Array) -> Array:
     """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of all, and some all over
     the image, of those that agree and of those that do not."""
     worst = np.max([*seen.judgement.ratios.values()], axis=0)
@@ -178,7 +179,7 @@ def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.nd
     return np.unique(np.concatenate(chosen).astype(np.int32))
 
 
-def _classes(judgement: Judgement) -> np.ndarray:
+def _classes(judgement: Judgement) -> Array:
     """(n,) uint8 class of each pixel; UNLISTED_CODE where the reference is wrong in no known way.
 
     Pixels with the symptom of wrong ones, which were not adjudicated, are wrong here.
@@ -190,7 +191,7 @@ def _classes(judgement: Judgement) -> np.ndarray:
     return found
 
 
-def _reasons(seen: Seen, classes: np.ndarray) -> Part:
+def _reasons(seen: Seen, classes: Array) -> Part:
     """The reason for the class of each pixel that does not agree, failing ones first."""
     judge, judgement, by_row = seen.judge, seen.judgement, seen.diagnosis.by_row()
     rows = np.flatnonzero(classes != CLASS_CODE[AGREE])
@@ -214,7 +215,7 @@ def _exact_answers(judge: Judge, judgement: Judgement) -> Part:
     }
 
 
-def _images(hit: np.ndarray, shape: Shape, ours: np.ndarray, reference: np.ndarray) -> Part:
+def _images(hit: Array, shape: Shape, ours: Array, reference: Array) -> Part:
     """Both sides, (n, c), as images, and the difference where both hit. hit: bit 1 for ours, 2 for the reference."""
     steps = value_steps(reference[hit > 1] if (hit > 1).any() else ours)
     theirs, mine = (value_codes(each, steps) * (hit & bit > 0)[:, None] for bit, each in ((2, reference), (1, ours)))
@@ -229,7 +230,7 @@ def _images(hit: np.ndarray, shape: Shape, ours: np.ndarray, reference: np.ndarr
     }
 
 
-def _ids(judge: Judge, rows: np.ndarray) -> Part:
+def _ids(judge: Judge, rows: Array) -> Part:
     """Numbers of shapes, and of primitives within them, -1 on a miss; of a candidate that names none, some of its t."""
     pair, index = judge.pair, judge.model.packed.index_in_shape
     if judge.names_prims:

@@ -8,8 +8,8 @@ from textwrap import shorten
 from caster.description.errors import SceneError
 from caster.rendering.warm_up import compile_for, warm_decisions
 from caster.scene.model import Scene
+from mitsuba_ref.judge.aggregate import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.checks.render import check_render
-from mitsuba_ref.judge.film import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import Failure, SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored

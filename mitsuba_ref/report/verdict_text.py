@@ -1,6 +1,5 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -73,18 +72,14 @@ def spoken_counts(*scenes: SceneVerdict) -> dict[str, int]:
     counts = {name: sum(counts_shown(scene)[name] for scene in scenes) for name in CLASSES}
     alike = sum(scene.not_adjudicated for scene in scenes)
     looked_at = f" ({counts[WRONG] - alike} of them looked at)" if alike else ""
-    return {f"{class_text(name)}{looked_at if name == WRONG else ''}": n for name, n in counts.items() if n}
+    names = {name: name.replace("_", " ") + (looked_at if name == WRONG else "") for name in CLASSES}
+    return {names[name]: count for name, count in counts.items() if count}
 
 
 def counts_shown(scene: SceneVerdict) -> dict[str, int]:
     """Pixels of each class; those with the symptom of wrong ones, which were not adjudicated, count as wrong."""
     alike = scene.not_adjudicated
     return scene.counts | {WRONG: scene.counts[WRONG] + alike, UNDECIDED: scene.counts[UNDECIDED] - alike}
-
-
-def class_text(name: str) -> str:
-    """A class of pixels for readers."""
-    return name.replace("_", " ")
 
 
 def mark_of(scene: SceneVerdict) -> str:
@@ -104,34 +99,26 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
-    lines += [_check_failure(scene, check) for check in scene.checks if not check.ok]
+    for check in (check for check in scene.checks if not check.ok):
+        beyond = f"{check.ratio:.3g}x its bound; " if isfinite(check.ratio) else ""
+        lines += [f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}", f"      replay:    {replay(scene)}"]
     if scene.failures:
         worst = scene.failures[0]
-        counts = f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
+        far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
+        at = f"{far if worst.ratio > 0.0 and isfinite(worst.ratio) else 'such as'} {scene.place(worst.x, worst.y)}"
+        counts = f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, {at}"
         causes = [finding.text for finding in scene.findings[:1]]
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
         )
         for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
             alike = f" and {finding.alike} more ({SAME_SYMPTOM})" if finding.alike else ""
-            at = f"      {finding.pixels} pixels{alike}, first {scene.place(finding.x, finding.y)}: "
-            lines.append(at + (finding.what if place else "as above"))
+            head = f"      {finding.pixels} pixels{alike}, first {scene.place(finding.x, finding.y)}: "
+            lines.append(head + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
         lines += [*_answers(scene, worst, report, "".join(causes)), *notes]
     return "\n".join(lines)
-
-
-def _check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
-    """Text of a scene check that fails."""
-    beyond = f"{check.ratio:.3g}x its bound; " if isfinite(check.ratio) else ""
-    head = f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}"
-    return f"{head}\n      replay:    {replay(scene)}"
-
-
-def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
-    far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
-    return f"{far if 0.0 < worst.ratio < math.inf else 'such as'} {scene.place(worst.x, worst.y)}"
 
 
 def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import computed_field
@@ -10,10 +11,10 @@ from pydantic.dataclasses import dataclass
 
 from caster.rendering.bounces import bounces
 from caster.rendering.hits import trace_rays, validated_rays
-from caster.system.atomic_files import check_folder, write_text
+from caster.system.atomic_files import check_folder
 from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.checks.spawned_origins import (
+from mitsuba_ref.judge.checks.secondary_rays import (
     MITSUBA,
     RULES,
     LeavingRays,
@@ -27,11 +28,24 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, OriginJudge
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.report.reproducers import write_scene
 from mitsuba_ref.report.results import NOTHING, aligned
-from mitsuba_ref.stress.score import DEFAULT_RAYS, Absent
 from mitsuba_ref.subjects.subject import NoAnswer
 
 OURS, CANDIDATE = "ours", "candidate"
+DEFAULT_RAYS = 400  # of a setting
+
+
+@dataclass(frozen=True)
+class Absent:
+    """The reason why a caster has no answer."""
+
+    status: Literal["missing", "crash", "not applicable"]
+    why: str
+
+    @property
+    def breaks(self) -> bool:
+        return self.status == "crash"
 
 
 @dataclass(frozen=True)
@@ -142,7 +156,7 @@ def leaving_of(family: Family, seed: int, x: float, count: int | None) -> Leavin
 def write_parent(path: Path, about: str, found: OriginFindings, row: int) -> str:
     """Write the scene of one wrong ray with its parent as the camera's ray; returns the file. Raises OutputError."""
     check_folder(path.parent)
-    write_text(path, f"# {about}\n# {found.example(row)}\n\n{found.scene_of(row).to_toml()}")
+    write_scene(path, found.scene_of(row), [about, found.example(row)])
     return str(path)
 
 

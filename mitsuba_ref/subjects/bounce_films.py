@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.rendering.bounces import RAY_KINDS, Bounce, bounces
+from caster.rendering.bounces import Bounce, bounces
 from caster.scene.model import MAX_FILM_SIDE, Scene
 from mitsuba_ref.reference.shared_input import SharedRays, pixel_of, shared_rays
 from mitsuba_ref.subjects.ray_files import RayList, lay_out
@@ -31,11 +31,6 @@ class BounceFilm(NamedTuple):
         """Column and row of the camera's first pixel, and how many rows of pixels its view has."""
         x0, y0, x1, y1 = self.view.film.window
         return x0, y0, y1 - y0 if self.scene.film.width == x1 - x0 else 0
-
-    def by_kind(self, film: np.ndarray) -> dict[str, np.ndarray]:
-        """The values of a film, (pixels,), at the rays of each kind that occurs."""
-        kinds = self.bounce.rays.kind
-        return {RAY_KINDS[kind]: film[self.row[kinds == kind]] for kind in np.unique(kinds)}
 
 
 def bounce_films(scene: Scene, depth: int) -> Iterator[BounceFilm]:

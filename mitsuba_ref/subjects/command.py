@@ -19,6 +19,7 @@ from caster.image.exr import Exr, UnreadableExr, read_exr
 from caster.scene.model import Scene
 from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
@@ -207,7 +208,7 @@ class ExrFile(Subject):
         return replace(answer_from_exr(self.exr, request, self), own_geometry=True)
 
 
-def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def _normals(channels: Mapping[str, Array]) -> Array | None:
     """(n, 3) normals, None if they are not given. Raises NoAnswer, also if depth is missing or not float32."""
     if DEPTH not in channels:
         has = ", ".join(channels) or "none"
@@ -221,9 +222,9 @@ def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
     return np.stack([channels[name].ravel() for name in some], axis=1) if some else None
 
 
-def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:
+def _mask(mask: Array, depth: Array, request: CastRequest) -> Array:
     """(n,) bool: the hits. A miss may have depth 0 or inf. Raises NoAnswer where depth contradicts the mask."""
-    covered: np.ndarray = mask != 0
+    covered: Array = mask != 0
     missed = np.isposinf(depth) | (~covered & (depth == 0.0))
     contradicts = (covered == missed) | ~np.isfinite(mask)
     if contradicts.any():
@@ -238,27 +239,6 @@ def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarr
 # ---- rays in, hits out: one binary format in files and over stdin and stdout (docs/candidates.md) ----
 
 
-def number_type(precision: str | None) -> np.dtype[Any]:
-    """The type of rays and hits, little-endian."""
-    return np.dtype("<f8" if precision == FLOAT64 else "<f4")
-
-
-def ray_bytes(request: CastRequest, precision: str | None) -> bytes:
-    """The rays of all pixels that have one: rows of o, d, t_min, t_max."""
-    rays = request.rays
-    t_min = np.broadcast_to(rays.t_min, len(rays.t_max))
-    rows = np.column_stack([rays.o, rays.d, t_min, rays.t_max])[rays.t_max >= 0.0]
-    return rows.astype(number_type(precision)).tobytes()
-
-
-def known_lengths(request: CastRequest, precision: str | None) -> tuple[dict[int, int], str]:
-    """(columns of the hits by their bytes, the same in words)."""
-    count = int((request.rays.t_max >= 0.0).sum())
-    lengths = {count * columns * number_type(precision).itemsize: columns for columns in HIT_COLUMNS}
-    known = ", ".join(f"{length} for {HIT_COLUMNS[columns]}" for length, columns in lengths.items())
-    return lengths, f"{count} rows: {known}"
-
-
 def mesh_bytes(packed: Packed) -> bytes:
     """All triangles of a scene: v, f as int64, (v, 3) float32, (f, 3) int32. Raises Unsupported for other shapes."""
     if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
@@ -270,32 +250,40 @@ def mesh_bytes(packed: Packed) -> bytes:
     return np.array([len(vertices), len(corners)], "<i8").tobytes() + vertices.tobytes() + corners.tobytes()
 
 
-def answer_of_bytes(
-    data: bytes, request: CastRequest, precision: str | None, where: str, *, limits: bool = True
-) -> Answer:
-    """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer.
-
-    limits: whether t_max is heeded, so that a hit beyond it is no answer.
-    """
-    lengths, known = known_lengths(request, precision)
-    if len(data) not in lengths:
-        raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
-    there, packed = request.rays.t_max >= 0.0, request.model.packed
-    rows = np.frombuffer(data, number_type(precision)).reshape(int(there.sum()), lengths[len(data)])
-    hits = hit_columns(rows, where)
-    return answer_of_numbered_hits(hits, request.rays, packed, precision, limits=limits)
-
-
 @dataclass(frozen=True)
 class RayProgram(Program):
     """A program that casts given rays."""
 
-    limits: bool = True  # its interface has t_min and t_max
     takes_rays: ClassVar[bool] = True
+    takes_limits: bool = True  # its interface has t_min and t_max
 
     @property
-    def takes_limits(self) -> bool:
-        return self.limits
+    def numbers(self) -> np.dtype[Any]:
+        """The type of rays and hits, little-endian."""
+        return np.dtype("<f8" if self.precision == FLOAT64 else "<f4")
+
+    def ray_bytes(self, request: CastRequest) -> bytes:
+        """The rays of all pixels that have one: rows of o, d, t_min, t_max."""
+        rays = request.rays
+        t_min = np.broadcast_to(rays.t_min, len(rays.t_max))
+        rows = np.column_stack([rays.o, rays.d, t_min, rays.t_max])[rays.t_max >= 0.0]
+        return rows.astype(self.numbers).tobytes()
+
+    def known_lengths(self, request: CastRequest) -> tuple[dict[int, int], str]:
+        """(columns of the hits by their bytes, the same in words)."""
+        count = int((request.rays.t_max >= 0.0).sum())
+        lengths = {count * columns * self.numbers.itemsize: columns for columns in HIT_COLUMNS}
+        known = ", ".join(f"{length} for {HIT_COLUMNS[columns]}" for length, columns in lengths.items())
+        return lengths, f"{count} rows: {known}"
+
+    def answer_of_bytes(self, data: bytes, request: CastRequest, where: str) -> Answer:
+        """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer."""
+        lengths, known = self.known_lengths(request)
+        if len(data) not in lengths:
+            raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
+        rows = np.frombuffer(data, self.numbers).reshape(-1, lengths[len(data)])
+        hits, packed = hit_columns(rows, where), request.model.packed
+        return answer_of_numbered_hits(hits, request.rays, packed, self.precision, limits=self.takes_limits)
 
 
 @dataclass(frozen=True)
@@ -305,7 +293,7 @@ class RayCommand(RayProgram):
     def answer(self, request: CastRequest) -> Answer:
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
         paths = {name: request.folder / f"{name}.raw" for name in ("rays", "hits", "mesh")}
-        paths["rays"].write_bytes(ray_bytes(request, self.precision))
+        paths["rays"].write_bytes(self.ray_bytes(request))
         if "scene" in self.placeholders:
             paths["scene"] = write_toml(request)
         if "mesh" in self.placeholders:
@@ -316,7 +304,7 @@ class RayCommand(RayProgram):
             data = paths["hits"].read_bytes()
         except OSError as error:
             raise NoAnswer(f"the program ended well, but its hits cannot be read: {error}") from error
-        return answer_of_bytes(data, request, self.precision, "{hits}", limits=self.limits)
+        return self.answer_of_bytes(data, request, "{hits}")
 
 
 DECLINED = -1  # in place of the length of a response: the program does not support the scene
@@ -335,8 +323,8 @@ class ServedCommand(RayProgram):
 
     def answer(self, request: CastRequest) -> Answer:
         """Send triangles and rays, read hits; restart a program that has ended. Raises NoAnswer."""
-        parts = mesh_bytes(request.model.packed), ray_bytes(request, self.precision)
-        lengths, known = known_lengths(request, self.precision)
+        parts = mesh_bytes(request.model.packed), self.ray_bytes(request)
+        lengths, known = self.known_lengths(request)
 
         def length_of(head: bytes) -> int:
             length = int.from_bytes(head, "little", signed=True)
@@ -351,7 +339,7 @@ class ServedCommand(RayProgram):
             reply = self._reply(b"".join(map(length_first, parts)), length_of)
         if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
-        return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response", limits=self.limits)
+        return self.answer_of_bytes(reply[HEAD_BYTES:], request, "its response")
 
     def _reply(self, data: bytes, length_of: Callable[[bytes], int]) -> bytes:
         try:

@@ -17,6 +17,7 @@ import numpy as np
 
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.scene.model import Scene
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import PRECISIONS, Answer, CastRequest, NoAnswer, Subject, Unsupported, exception_text
@@ -32,11 +33,6 @@ MAX_TRACEBACK_FRAMES = 4
 
 # Scenes are judged several at a time, but a candidate need not be thread-safe.
 _one_at_a_time = threading.Lock()
-
-
-def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
-    """Import a function as a candidate. Raises SceneError."""
-    return function_subject(imported(text), text, precision)
 
 
 def imported(text: str) -> Callable[..., Any]:
@@ -67,7 +63,7 @@ def imported(text: str) -> Callable[..., Any]:
     return call
 
 
-def spawn_rule(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+def spawn_rule(text: str) -> Callable[[Array, Array, Array], Array]:
     """A candidate's rule for origins, function(points, normals, directions), which raises NoAnswer. Raises SceneError.
 
     Arrays are (n, 3) float64: normals of length 1 outwards, and it returns the origins.
@@ -75,7 +71,7 @@ def spawn_rule(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.n
     with error_prefix(f"--spawn {text}"):
         call = imported(text)
 
-    def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def spawn(points: Array, normals: Array, directions: Array) -> Array:
         with _one_at_a_time, _isolated():
             try:
                 origins = np.asarray(call(points, normals, directions), np.float64)
@@ -137,7 +133,7 @@ class FunctionSubject(Subject):
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
 
-    def _called(self, scene: Scene, o: np.ndarray, d: np.ndarray, limits: Mapping[str, np.ndarray]) -> Any:
+    def _called(self, scene: Scene, o: Array, d: Array, limits: Mapping[str, Array]) -> Any:
         try:
             return self.call(scene, o, d, **limits)
         except KeyboardInterrupt:

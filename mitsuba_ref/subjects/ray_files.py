@@ -14,6 +14,7 @@ from caster.description.input_files import opened_input
 from caster.geometry.packing import Packed
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import (
     Answer,
@@ -39,14 +40,14 @@ class UnreadableArray(FileMissing):
 class RayList(NamedTuple):
     """Rays o + t d with t_min < t <= t_max, and the width of the film that they fill."""
 
-    rows: np.ndarray  # (n, 8) float32 or float64
+    rows: Array  # (n, 8) float32 or float64
     width: int = 0  # pixels; 0: any
 
 
 # ---- arrays of .npy and .npz files
 
 
-def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.ndarray]:
+def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, Array]:
     """The arrays `names` of a .npz file; for a .npy file, its array under the name "". Nothing is unpickled.
 
     Raises FileMissing, or UnreadableArray for files that hold objects, are cut short or do not fit into memory.
@@ -88,7 +89,7 @@ def read_rays(path: str | Path) -> RayList:
     return checked_rays(rows, str(path), width)
 
 
-def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
+def checked_rays(rows: Array, where: str, width: int = 0) -> RayList:
     """The rays as a list. Raises SceneError that names the first ray that cannot be traced."""
     if rows.ndim != 2 or rows.shape[1] != COLUMNS:
         raise SceneError(f"{where}: expected rays of shape (n, {COLUMNS}): o, d, t_min, t_max; got {rows.shape}")
@@ -117,7 +118,7 @@ def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
     return RayList(rows, width if 0 < width <= MAX_FILM_SIDE else 0)
 
 
-def write_rays(path: str | Path, rays: RayList, **more: np.ndarray) -> None:
+def write_rays(path: str | Path, rays: RayList, **more: Array) -> None:
     """Write rays to a .npz file, or the rows alone to a .npy file. Raises OutputError."""
     out = io.BytesIO()
     if Path(path).suffix == ".npy":
@@ -146,13 +147,13 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
 # ---- hits
 
 
-def read_hits(path: str | Path) -> dict[str, np.ndarray]:
+def read_hits(path: str | Path) -> dict[str, Array]:
     """Hits by HIT_ARRAYS, from a .npz file or the columns of a .npy file. Raises FileMissing, UnreadableArray."""
     arrays = read_arrays(path, HIT_ARRAYS)
     return hit_columns(arrays[""], str(path)) if "" in arrays else arrays
 
 
-def hit_columns(rows: np.ndarray, where: str) -> dict[str, np.ndarray]:
+def hit_columns(rows: Array, where: str) -> dict[str, Array]:
     """Hits by HIT_ARRAYS from rows (n, 1), (n, 4) or (n, 5); integers (n,) are any_hit. Raises UnreadableArray."""
     if rows.ndim == 1 and rows.dtype.kind in "biu":
         return {"any_hit": rows}
@@ -174,7 +175,7 @@ def hit_columns(rows: np.ndarray, where: str) -> dict[str, np.ndarray]:
 class HitsFile(Subject):
     """Hits that were computed beforehand, one per ray of the list."""
 
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, Array]
     precision: str | None  # None: that of t and n
     any_hit: bool = False  # judge its any-hit answers, not its nearest hits
 
@@ -184,7 +185,7 @@ class HitsFile(Subject):
 
 
 def answer_of_hits(
-    arrays: Mapping[str, Any], there: np.ndarray, precision: str | None = None, any_hit: bool = False
+    arrays: Mapping[str, Any], there: Array, precision: str | None = None, any_hit: bool = False
 ) -> Answer:
     """The answer from nearest hits, or from any-hit answers, one for each pixel in `there`. Raises NoAnswer."""
     names = ("any_hit",) if any_hit else ("shape_id", "prim_id")
@@ -226,7 +227,7 @@ def answer_of_numbered_hits(
     return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 
 
-def _integers(name: str, values: np.ndarray, there: np.ndarray) -> np.ndarray:
+def _integers(name: str, values: Array, there: Array) -> Array:
     """One int64 for each pixel in `there`. Raises NoAnswer."""
     count = int(there.sum())
     if values.shape != (count,):

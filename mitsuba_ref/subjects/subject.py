@@ -17,6 +17,7 @@ from caster.rendering.images import evaluate, film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_bytes
 from caster.system.terminal import printable
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.originals import original_of
@@ -45,34 +46,34 @@ class Unsupported(NoAnswer):
 class Answer:
     """A subject's answer, one row per ray. On a miss, t is inf and n is 0; rows in `broken` are no answer."""
 
-    t: np.ndarray  # (n,) float64, lengths of d
-    n: np.ndarray | None  # (n, 3) float64 of length 1; None: normals are not given
+    t: Array  # (n,) float64, lengths of d
+    n: Array | None  # (n, 3) float64 of length 1; None: normals are not given
     precision: str  # of PRECISIONS: its arithmetic
-    broken: Mapping[str, np.ndarray]  # reason why rows are no answer -> (n,) bool
-    t_rounding: float | np.ndarray = 0.0  # (n,) error of t from its conversion
+    broken: Mapping[str, Array]  # reason why rows are no answer -> (n,) bool
+    t_rounding: float | Array = 0.0  # (n,) error of t from its conversion
     own_camera: bool = False  # it cast the rays of its own camera, not ours
     own_geometry: bool = False  # its primitives have the values of the scene file, not rounded to float32
     as_exported: bool = False  # it traced the exported scene, with patches in place of planes
     notes: tuple[str, ...] = ()
-    prim: np.ndarray | None = None  # (n,) int32, numbered through the scene, -1 on a miss; None: not given
+    prim: Array | None = None  # (n,) int32, numbered through the scene, -1 on a miss; None: not given
     images: Aovs | None = None  # normals, ids, diffuse, from a subject that gives more than t and n
-    shape_id: np.ndarray | None = None  # (n,) named beside t, -1 on a miss; None: not given, as prim_id
-    prim_id: np.ndarray | None = None  # (n,) within the shape
+    shape_id: Array | None = None  # (n,) named beside t, -1 on a miss; None: not given, as prim_id
+    prim_id: Array | None = None  # (n,) within the shape
     hits_only: bool = False  # it says whether something is hit, not where: t is 0 on a hit
     exact_visibility: bool = False  # its first hits have to be the exact ones, whatever the rounding
 
     @property
-    def hit(self) -> np.ndarray:
+    def hit(self) -> Array:
         """(n,) bool; a broken row counts as a hit."""
-        found: np.ndarray = ~np.isposinf(self.t)
+        found: Array = ~np.isposinf(self.t)
         return found
 
     @property
-    def is_broken(self) -> np.ndarray:
+    def is_broken(self) -> Array:
         """(n,) bool: no answer at all."""
         return np.any([np.zeros(len(self.t), bool), *self.broken.values()], axis=0)
 
-    def rows(self, rows: np.ndarray | slice) -> "Answer":
+    def rows(self, rows: Array | slice) -> "Answer":
         """Some rows, without images."""
         some: dict[str, Any] = {name: a[rows] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
@@ -83,7 +84,7 @@ class Answer:
         return PRECISIONS[self.precision]
 
 
-def checked_answer(t: Any, n: Any, there: np.ndarray, *, precision: str | None = None, **more: Any) -> Answer:
+def checked_answer(t: Any, n: Any, there: Array, *, precision: str | None = None, **more: Any) -> Answer:
     """The answer from a candidate's arrays. precision: as declared; None: that of the arrays.
 
     there: (m,) bool, the pixels that have a row of the arrays; the others miss. n may be None. Each normal is divided
@@ -108,7 +109,7 @@ def checked_answer(t: Any, n: Any, there: np.ndarray, *, precision: str | None =
     return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, **more)
 
 
-def without_hits_beyond(found: Answer, t_max: np.ndarray) -> Answer:
+def without_hits_beyond(found: Answer, t_max: Array) -> Answer:
     """The answer of a candidate without limits: a hit beyond t_max (n,) counts as a miss."""
     beyond = found.hit & (found.t > t_max)
     ids: dict[str, Any] = {
@@ -120,14 +121,14 @@ def without_hits_beyond(found: Answer, t_max: np.ndarray) -> Answer:
     return replace(found, t=np.where(beyond, np.inf, found.t), n=n, **ids)
 
 
-def spread(values: np.ndarray, there: np.ndarray, nothing: float) -> np.ndarray:
+def spread(values: Array, there: Array, nothing: float) -> Array:
     """The values as rows of the pixels in `there`, (m,) bool; `nothing` at the others."""
     found = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
     found[there] = values
     return found
 
 
-def _directions(n: np.ndarray) -> np.ndarray:
+def _directions(n: Array) -> Array:
     """Rows (n, 3) divided by their lengths; rows of zeros stay.
 
     Each is first divided by a power of two near its largest component, which is exact, so that squares neither overflow
@@ -136,11 +137,11 @@ def _directions(n: np.ndarray) -> np.ndarray:
     _, exponent = np.frexp(np.abs(n).max(axis=1))
     n = np.ldexp(n, -exponent[:, None])
     length = np.linalg.norm(n, axis=1)
-    directions: np.ndarray = n / np.where(length > 0.0, length, 1.0)[:, None]
+    directions: Array = n / np.where(length > 0.0, length, 1.0)[:, None]
     return directions
 
 
-def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> np.ndarray:
+def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> Array:
     """A plain array in native byte order. nothing: the value of a miss, for a message. Raises NoAnswer."""
     expected = f"shape {'(n,)' if len(shape) == 1 else '(n, 3)'} = {shape}"
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):

@@ -8,7 +8,7 @@ import pytest
 from caster import Cylinder, Disk, EllipsoidCloud, LinearCurve, Plane, Rectangle, Scene, Sphere
 from caster.cameras.single_ray import Ray
 from mitsuba_ref.hard.rays import RayBatch, Targets
-from mitsuba_ref.judge.checks.spawned_origins import judge_origins, leaving_rays
+from mitsuba_ref.judge.checks.secondary_rays import judge_origins, leaving_rays
 from mitsuba_ref.oracle.implicit_surfaces import Approximate
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import SELF_HIT, SKIPPED, UNDECIDED, WRONG_SIDE, OriginJudge

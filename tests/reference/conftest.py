@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 from edited_tree import ROOT, Forks, copy_tree
+from mitsuba_scenes import scene_judge
 
 from caster.scene.model import Scene
-from mitsuba_ref.judge.classification import Judge, scene_judge
+from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest, send_request

@@ -5,11 +5,21 @@ from pathlib import Path
 import numpy as np
 from ply_files import ply_mesh
 
-from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
+from caster.scene.model import Scene
+from mitsuba_ref.judge.classification import Judge, judge_of
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.mitsuba_process import SendRequest, send_request
 from mitsuba_ref.reference.variants import EXACT_T_ERROR
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import OURS, Subject
 
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
 DIFFUSE = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5 0.25 0.75"/></bsdf>'
+
+
+def scene_judge(scene: Scene, subject: Subject = OURS, send: SendRequest = send_request) -> Judge | Crash:
+    """The judge of a subject in the film's window."""
+    return judge_of(request_answer(subject, scene), send=send)
 
 
 def write(folder: Path, content: str, name: str = "scene.xml") -> Path:

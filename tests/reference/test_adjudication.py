@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from edited_tree import ROOT, run
+from mitsuba_scenes import scene_judge
 
 import caster
 from caster.aovs import Aovs
@@ -18,7 +19,7 @@ from caster.scene.model import Scene
 from mitsuba_ref import shapes as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.adjudication import AGREEING_PIXELS_ADJUDICATED
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
@@ -26,7 +27,7 @@ from mitsuba_ref.probe.pixel import probe_with_evidence
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.shared_input import shared_rays
-from mitsuba_ref.report.reproducers import reproducer
+from mitsuba_ref.report.reproducers import involved_prims, reproducer
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects import subject
@@ -294,14 +295,14 @@ def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
     packed, kinds = judge.model.packed, set()
     shapes = aov_rows(judge.pair.subject, "shape_id")
     for row in (np.flatnonzero(shapes == shape)[0] for shape in np.unique(shapes[shapes >= 0])):
-        found = reproducer(judge, int(row))
-        (ray,) = zip(*(getattr(shared_rays(found.scene), name) for name in ("o", "d", "t_max")), strict=True)
+        alone, prims = reproducer(judge, int(row))[0], sorted(involved_prims(judge, int(row)))
+        (ray,) = zip(*(getattr(shared_rays(alone), name) for name in ("o", "d", "t_max")), strict=True)
         for mine, name in zip(ray, ("o", "d", "t_max"), strict=True):
             theirs = getattr(judge.pair.rays, name)[row]
             assert np.asarray(mine + 0.0).tobytes() == np.asarray(theirs + 0.0).tobytes()
-        again = pack(found.scene, as_float32)
-        assert len(again.parts) == len(found.prims) and int(judge.pair.prim[row]) in found.prims
-        for part, prim in zip(again.parts, found.prims, strict=True):
+        again = pack(alone, as_float32)
+        assert len(again.parts) == len(prims) and int(judge.pair.prim[row]) in prims
+        for part, prim in zip(again.parts, prims, strict=True):
             kinds.add(type(part))
             shape = int(packed.shape_of(np.array([prim]))[0])
             assert type(packed.parts[shape]) is type(part)

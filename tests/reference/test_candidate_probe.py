@@ -9,14 +9,14 @@ import candidates
 import mistakes
 import numpy as np
 import pytest
+from mitsuba_scenes import scene_judge
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import __main__
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.judge.classification import scene_judge
 from mitsuba_ref.judge.verdict import WRONG
-from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
+from mitsuba_ref.probe.pixel import CandidatePixel, probe_candidate
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Subject

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mitsuba_scenes import scene_judge
 
 import caster
 from caster.scene.model import Scene
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, separator_text
 from mitsuba_ref.subjects.function import FunctionSubject

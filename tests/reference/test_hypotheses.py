@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mitsuba_scenes import scene_judge
 
 import caster
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.judge.classification import Judge, scene_judge
+from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.hypotheses import WrongPixels, explanations, mistakes, normal_mistakes
 from mitsuba_ref.reference.shared_input import pixel_centers

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mitsuba_scenes import scene_judge
 
 import caster
 from caster.aovs import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
-from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
+from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.diagnosis import diagnose, failing_rows
 from mitsuba_ref.judge.explanations import open_reason
 from mitsuba_ref.judge.verdict import CLASSES
@@ -160,14 +161,14 @@ def test_our_value_may_be_off_by_float64s_bound_and_no_more(one, name):
     inside, outside = altered(one), altered(one)
     rows = move_subject(inside, name, 0.9)
     judge = again(inside)
-    (check,) = (each for each in judge.self_checks if each.name == name)
+    check = judge.pixels.self_checks[name]
     assert check.counts[rows].all() and check.error[rows] / check.bound[rows] == pytest.approx(0.9, rel=0.08)
     assert classes_at(judge.judge(), rows) == {"agree"}
     move_subject(outside, name, 1.1)
     judge = again(outside)
     found = judge.judge()
     assert classes_at(found, rows) == {"wrong"} and failing_rows(found).tolist() == rows.tolist()
-    (check,) = (each for each in judge.self_checks if each.name == name)
+    check = judge.pixels.self_checks[name]
     assert check.fails[rows].all()
     assert np.array_equal(np.sort(failing_by_check(found)[name]), rows)
 

@@ -9,9 +9,8 @@ from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
-from mitsuba_ref.stress import score, sweeps
-from mitsuba_ref.stress.score import CASTERS, Caster, Score
-from mitsuba_ref.stress.sweeps import SweepResult
+from mitsuba_ref.stress import sweeps
+from mitsuba_ref.stress.sweeps import CASTERS, Caster, Score, SweepResult
 
 RAYS = 16
 
@@ -22,7 +21,7 @@ def test_all_casters_agree_where_a_family_is_easiest(first):
     """So later failures come from the stress, not from the way of tracing."""
     asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().libllvm else [])]
     for family in SWEPT[first::3]:
-        ready = score.prepare_setting(family, 0, family.easiest, RAYS)
+        ready = sweeps.prepare_setting(family, 0, family.easiest, RAYS)
         result = sweeps.score_setting(ready, CASTERS)
         sweep = SweepResult.of(family, [result])
         assert sweep.ok, sweep.problems
@@ -36,8 +35,8 @@ def test_all_casters_agree_where_a_family_is_easiest(first):
 
 def test_the_robust_mode_is_switched_off_where_that_is_requested():
     """Without it, some 6 of 100 rays slip through edges."""
-    ready = score.prepare_setting(BY_NAME["watertight-edges"], 0, 0.0, 2000)
-    robust, plain = (score.trace_by_reference(Caster("", "", SCALAR, robust=on), ready) for on in (True, False))
+    ready = sweeps.prepare_setting(BY_NAME["watertight-edges"], 0, 0.0, 2000)
+    robust, plain = (sweeps.trace_by_reference(Caster("", "", SCALAR, robust=on), ready) for on in (True, False))
     assert np.all(robust.hit) and 40 <= np.sum(~plain.hit) <= 400
 
 

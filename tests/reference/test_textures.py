@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mitsuba_scenes import scene_judge
 from PIL import Image
 
 import caster
@@ -17,7 +18,6 @@ from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Scene
 from caster.scene.textures import FILTERS, WRAPS, Bitmap, Checkerboard, texture_arrays
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.classification import scene_judge
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.reference import shared_input
 

@@ -17,7 +17,7 @@ from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.reference import interpreter
 from mitsuba_ref.reference.interpreter import AS_IN_FILE_VARIABLE, PYTHON_VARIABLE
 from mitsuba_ref.reference.store import machine
-from mitsuba_ref.stress.score import cast_by_bvh, prepare_setting
+from mitsuba_ref.stress.sweeps import cast_by_bvh, prepare_setting
 
 OTHERS = [path for path in os.environ.get("MITSUBA_REF_OTHERS", "").split(os.pathsep) if path]
 BALL = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "{}"\n[film]\n{}'

@@ -8,7 +8,7 @@ import pytest
 
 from caster.image.exr import write_exr
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr_compare import flip as flip_module
+from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare.two_files import compare_exr
 
 HEIGHT, WIDTH = 6, 9
@@ -86,14 +86,14 @@ def test_values_that_are_not_finite_are_no_part_of_a_measure(tmp_path):
 
 
 def test_without_flip_the_way_to_it_is_stated(monkeypatch):
-    monkeypatch.setattr(flip_module, "FLIP_PROGRAM", "raise ImportError(\"No module named 'flip_evaluator'\")")
+    monkeypatch.setattr(comparison_page, "FLIP_PROGRAM", "raise ImportError(\"No module named 'flip_evaluator'\")")
     grey = np.full((4, 4, 3), 0.5)
-    assert flip_module.flip(grey, grey) == "not computed; pip install flip-evaluator"
+    assert comparison_page.flip(grey, grey) == "not computed; pip install flip-evaluator"
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("flip_evaluator"), reason="flip-evaluator is not installed")
 def test_flip_is_0_for_equal_images_and_a_black_one_does_not_end_the_program():
     ramp = np.linspace(0.0, 1.0, 300).reshape(10, 10, 3)
-    assert flip_module.flip(ramp, ramp) == "0"
-    assert 0.0 < float(flip_module.flip(ramp, np.flip(ramp, 1))) < 1.0
-    assert flip_module.flip(0.0 * ramp, 0.0 * ramp).startswith("not computed: ")
+    assert comparison_page.flip(ramp, ramp) == "0"
+    assert 0.0 < float(comparison_page.flip(ramp, np.flip(ramp, 1))) < 1.0
+    assert comparison_page.flip(0.0 * ramp, 0.0 * ramp).startswith("not computed: ")

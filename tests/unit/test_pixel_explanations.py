@@ -7,9 +7,8 @@ import numpy as np
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.aggregate import defect_counts, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
-from mitsuba_ref.judge.comparison import SelfCheck
 from mitsuba_ref.judge.diagnosis import Cause, Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, reason, tie_members
+from mitsuba_ref.judge.explanations import format_exact, full_reason, reason, tie_members
 
 INF = np.inf
 
@@ -31,25 +30,15 @@ def judgement_of(*classes, ratios=None, right=(), answered=None, cases=None, all
 
 def subject(*, ours: bool, precision="float64") -> SimpleNamespace:
     return SimpleNamespace(
-        answer=SimpleNamespace(exact_visibility=ours, precision=precision),
-        inconsistent={},
-        self_checks=(),
-        names_prims=ours,
+        answer=SimpleNamespace(exact_visibility=ours, precision=precision), inconsistent={}, names_prims=ours
     )
 
 
-def test_the_larger_error_of_both_sides_is_said():
-    judge = subject(ours=True)
-    judge.self_checks = (
-        SelfCheck("depth", np.array([6.0, 1.0, 6.0]), np.array([2.0, 2.0, 0.0]), np.array([True, True, True])),
-        SelfCheck("normal", np.array([np.nan, 9.0, 0.0]), np.array([2.0, 3.0, 1.0]), np.array([True, False, True])),
+def test_what_is_beyond_its_bound_is_said_with_its_factor():
+    judge, judgement = (
+        subject(ours=True),
+        judgement_of("wrong", "wrong", ratios={"depth": [3.0, 0.75], "normal": [INF, 0.5]}),
     )
-    judgement = judgement_of(
-        "wrong", "wrong", "wrong", ratios={"depth": [0.5, 0.75, 7.0], "normal": [0.25, 0.125, 0.0]}
-    )
-    assert error_ratios(judge, judgement, 0) == {"depth": 3.0, "normal": INF, EXACT: 0.0}
-    assert error_ratios(judge, judgement, 1) == {"depth": 0.75, "normal": 0.125, EXACT: 0.0}
-    assert error_ratios(judge, judgement, 2) == {"depth": INF, "normal": 0.0, EXACT: 0.0}
     assert full_reason(judge, judgement, {0: "why"}, 0) == "why; beyond their bounds: depth 3x, normal"
     assert full_reason(judge, judgement, {1: "why"}, 1) == "why"
 

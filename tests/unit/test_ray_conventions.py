@@ -170,7 +170,7 @@ def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says
     subject = RayCommand("program", words, "float64", 60.0)
     found = check_ray_limits(subject)
     assert found.ok is ok and found.what.startswith(says), found.what
-    assert check_ray_limits(replace(subject, limits=False)) is None
+    assert check_ray_limits(replace(subject, takes_limits=False)) is None
 
 
 def test_mirrored_rays_whose_t_float32_does_not_resolve_excuse_no_wrong_answer(monkeypatch):

@@ -39,7 +39,7 @@ def test_every_kind_has_exactly_one_reference(described, registered, folder):
 def test_every_aov_is_compared_or_listed_as_not_compared():
     for aov in AOVS:
         assert (aov.NAME in COMPARED_AOVS or aov.NAME in SEEN_THROUGH) != (aov.NAME in NOT_COMPARED), (
-            f"{aov.NAME}: add its check to CHECKS in mitsuba_ref/judge/comparison.py and its name to "
+            f"{aov.NAME}: add its bound to allowed_distance in mitsuba_ref/judge/comparison.py and its name to "
             "COMPARED_AOVS in mitsuba_ref/subjects/subject.py, or say in NOT_COMPARED why it is not compared"
         )
     assert {*COMPARED_AOVS, *SEEN_THROUGH, *NOT_COMPARED} == {aov.NAME for aov in AOVS}

@@ -26,9 +26,8 @@ from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.reference.variants import Variants
 from mitsuba_ref.report import results
 from mitsuba_ref.report.results import as_json, write_result
-from mitsuba_ref.stress import score, sweeps
-from mitsuba_ref.stress.score import Absent, Scorer
-from mitsuba_ref.stress.sweeps import StressRun, SweepResult
+from mitsuba_ref.stress import sweeps
+from mitsuba_ref.stress.sweeps import Absent, Scorer, StressRun, SweepResult
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Answer
 
@@ -42,7 +41,7 @@ def no_mitsuba(monkeypatch, tmp_path):
     """An empty folder, and a machine where no variant works: sweeps go on with ours and exact arithmetic."""
     monkeypatch.chdir(tmp_path)
     nothing = Variants(False, None, "planted: nothing works")
-    monkeypatch.setattr(score, "usable_variants", lambda: nothing)
+    monkeypatch.setattr(sweeps, "usable_variants", lambda: nothing)
     monkeypatch.setattr(results, "usable_variants", lambda: nothing)
 
 
@@ -81,13 +80,13 @@ def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
 
 def test_settings_depend_on_the_seed_alone():
     for family in SWEPT:
-        first, again, other = (score.prepare_setting(family, seed, family.values[-1], RAYS) for seed in (0, 0, 1))
+        first, again, other = (sweeps.prepare_setting(family, seed, family.values[-1], RAYS) for seed in (0, 0, 1))
         assert np.array_equal(first.o, again.o) and np.array_equal(first.d, again.d)
         assert not np.array_equal(first.d, other.d)
 
 
 def test_a_mesh_that_is_not_closed_is_refused():
-    ready = score.prepare_setting(replace(BY_NAME["tangency"], closed=True), 0, 0.1, RAYS)
+    ready = sweeps.prepare_setting(replace(BY_NAME["tangency"], closed=True), 0, 0.1, RAYS)
     with pytest.raises(AssertionError, match="leaves a closed mesh"):
         Scorer(ready, np.zeros(RAYS, bool))
 
@@ -114,8 +113,8 @@ def not_a_number(found: Answer) -> Answer:
 
 @pytest.mark.parametrize(("factor", "wrong"), [(1.0, 0), (1.0 + 1e-6, 1)])
 def test_a_fault_of_ours_fails_the_run(factor, wrong, monkeypatch, capsys, only):
-    honest = score.cast_by_bvh
-    monkeypatch.setattr(score, "cast_by_bvh", lambda ready: replace(found := honest(ready), t=found.t * factor))
+    honest = sweeps.cast_by_bvh
+    monkeypatch.setattr(sweeps, "cast_by_bvh", lambda ready: replace(found := honest(ready), t=found.t * factor))
     only(short("scale-mesh", -1))
     assert main(["stress", "scale-mesh", "--rays", str(RAYS)]) == wrong
     shown = capsys.readouterr().out
@@ -140,8 +139,8 @@ def ball() -> tuple[Scorer, Answer]:
     family, ball = BY_NAME["offset-sphere"], {"type": "sphere", "center": [0.5, 0.2, 0.1], "radius": 1.0}
     made = family.make(np.random.default_rng(1), 1.0)
     twice = made._replace(data=made.data | {"shape": [ball, ball]})
-    ready = score.prepare_setting(replace(family, make=lambda rng, x: twice), 3, 1.0, RAYS)
-    return Scorer(ready, np.zeros(RAYS, bool)), score.cast_by_bvh(ready)
+    ready = sweeps.prepare_setting(replace(family, make=lambda rng, x: twice), 3, 1.0, RAYS)
+    return Scorer(ready, np.zeros(RAYS, bool)), sweeps.cast_by_bvh(ready)
 
 
 def test_each_kind_of_mistake_is_counted_as_what_it_is(ball):
@@ -181,8 +180,8 @@ def test_the_first_breakdown_is_looked_for_on_both_sides_of_the_easiest_setting(
 
 
 def test_leaks_and_what_is_missing_are_in_the_table(monkeypatch):
-    honest = score.cast_by_bvh
-    monkeypatch.setattr(score, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
+    honest = sweeps.cast_by_bvh
+    monkeypatch.setattr(sweeps, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
     sweep = run("watertight-vertices", 0, 1)
     lost = sum(outcome.witnesses["ours"].false_misses for outcome in sweep.settings)
     text = sweeps.as_text(sweep)
@@ -323,7 +322,7 @@ def test_a_wrong_candidate_fails_with_the_first_ray_that_shows_it(name, call, sa
     assert [command[0], *command[2:]] == ["probe", "0", "0"]
     setting = next(each for each in sweep.settings if each.witnesses["candidate"].breaks)
     (ray,) = setting.witnesses["candidate"].first_wrong[:1]
-    ready, kept = score.prepare_setting(short(name), 0, setting.x, RAYS), caster.load_scene(command[1])
+    ready, kept = sweeps.prepare_setting(short(name), 0, setting.x, RAYS), caster.load_scene(command[1])
     assert np.array_equal(kept.camera.origin, ready.o[ray]) and np.array_equal(kept.camera.direction, ready.d[ray])
     assert kept.shapes == ready.scene.shapes
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import pixel_of
 
@@ -118,12 +119,12 @@ def worst_share(shares: Iterable[tuple[float, str]], nothing: str = "nothing to 
     return max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, nothing))
 
 
-def bits_differ(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def bits_differ(a: Array, b: Array) -> Array:
     """Where two arrays of one shape and type have other bits, as bool."""
     return np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
 
 
-def worst_pixel(shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> Found:
+def worst_pixel(shares: dict[str, Array], among: Array, scene: Scene) -> Found:
     """The largest of all shares, with its pixel."""
     table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
     if not table.size:

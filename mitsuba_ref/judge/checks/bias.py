@@ -1,13 +1,14 @@
 """Bias (docs/method.md, "Bias"): systematic errors of the reference by kind, and a factor on all t of a candidate."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import (
+    Array,
     dot,
     row_groups,
     stacked_columns,
@@ -20,7 +21,6 @@ from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, KindBias
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
-from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 # A defect of ours far below what float32 resolves moves no pixel beyond its bound, but it moves all of them the same
 # way. Rounding does so, too, within a primitive: its numbers are rounded once, for all rays. So only the means of
@@ -28,7 +28,7 @@ from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 
 @without_float_warnings
-def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None) -> list[KindBias]:
+def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: Array | None = None) -> list[KindBias]:
     """Bias of each kind, from both sides' answers and the reference's bounds, without float64 bounds or exact answers.
 
     shared: (shapes,) bool, of instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
@@ -46,7 +46,7 @@ def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndar
     return list(_biases(packed, pair, bounds, share, rows, tied))
 
 
-def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
+def untied(prim: Array, kind: Array, tied: Array, tied_kind: Array) -> Array:
     """(m,) bool: pixels that are evidence of a bias. prim, kind: (m,) of each; tied, tied_kind: (j,) of tied pixels.
 
     If two shapes have the same t, the reference names either by the sign of a rounding, so that the remaining pixels of
@@ -58,7 +58,7 @@ def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.n
 
 
 def _biases(
-    packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray, tied: np.ndarray
+    packed: Packed, pair: ImagePair, bounds: Bounds, share: Array, rows: Array, tied: Array
 ) -> Iterator[KindBias]:
     """Of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
@@ -84,9 +84,7 @@ def _biases(
 
 
 @without_overflow_warnings
-def position_shares(
-    terms: PositionTerms, prims: Any, k: np.ndarray, at: np.ndarray, pair: ImagePair, bounds: Bounds
-) -> np.ndarray:
+def position_shares(terms: PositionTerms, prims: Any, k: Array, at: Array, pair: ImagePair, bounds: Bounds) -> Array:
     """(m,) how far the reference's positions at these rows are beyond ours along the ray, over their roundings.
 
     A position is the sum of the corners by barycentrics 1 - b1 - b2, b1 and b2. They are biased as t is, by a
@@ -105,14 +103,14 @@ def position_shares(
     return np.where(np.isnan(share), 0.0, share)  # a position that is no number fails its own check
 
 
-def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
+def z_of_groups(key: Array, error: Array) -> tuple[int, float]:
     """(number of groups, z of their means). key: (m, c), equal in a group; error: (m,) signed."""
     group = row_groups(key)
     means = np.bincount(group, error) / np.bincount(group)
     return len(means), z_of(means)
 
 
-def z_of(values: np.ndarray) -> float:
+def z_of(values: Array) -> float:
     """Their sum over the root of the sum of their squares.
 
     That is mean / (std / sqrt(n)) with the spread about 0, where the mean has to be, and not about the mean found.
@@ -139,20 +137,11 @@ def check_bias(biases: Sequence[KindBias]) -> Found:
 
 # ---- a common factor on all t of a candidate, even within their bounds
 
-ROUNDOFF = {FLOAT32: U32, FLOAT64: 2.0**-53}  # u of a candidate's precision
 FIT_ROUNDING = 2.0**-20  # far above the residual of a column that a float64 least-squares fit explains fully
 
 
-class FactorFit(NamedTuple):
-    """The factor 1 + u `roundings` that fits all t best, beside a shift of each shape."""
-
-    roundings: float
-    z: float  # of the sums over primitives, whose signs are random without such a factor
-    groups: int  # primitives at which a factor differs from a shift
-
-
 @check(of=(CANDIDATE,), scope="window")
-def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> Found | None:
+def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> Found | None:
     """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
     None if t is not given, or if the candidate rounds rays or geometry itself.
@@ -160,11 +149,11 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
     answer = pair.answer
     if answer.hits_only or answer.own_camera or answer.own_geometry:
         return None
-    fit = fitted_factor(packed, pair, bounds, prims)
-    words = f"t is off by {fit.roundings:+.1f} of its roundings on average, z {fit.z:.1f} of {fit.groups} primitives"
-    if fit.groups < MIN_GROUPS:
-        return 0.0, f"{fit.groups} primitives, too few to tell"
-    ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
+    roundings, z, groups = fitted_factor(packed, pair, bounds, prims)
+    words = f"t is off by {roundings:+.1f} of its roundings on average, z {z:.1f} of {groups} primitives"
+    if groups < MIN_GROUPS:
+        return 0.0, f"{groups} primitives, too few to tell"
+    ratio = min(abs(roundings) / LARGEST_T_BIAS, abs(z) / LARGEST_Z)
     if ratio > 1.0:
         words += (
             f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled or moved by a constant?"
@@ -173,8 +162,11 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
 
 
 @without_float_warnings
-def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> FactorFit:
-    """Fit one factor on t by least squares over pixels, weighted by their bounds.
+def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> tuple[float, float, int]:
+    """Fit one factor 1 + u r on t by least squares over pixels, weighted by their bounds.
+
+    Returns r, the z of its sums over primitives, whose signs are random without such a factor, and the number of
+    primitives at which a factor differs from a shift.
 
     A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s
     changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
@@ -187,7 +179,7 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.nda
     rows = np.flatnonzero(near & np.isfinite(shift).all(axis=1))
     rows = rows[:: max(1, -(-len(rows) // BIASED_PIXELS))]
     error, shift, prim = error[rows], shift[rows], prims[rows]
-    factor = ROUNDOFF[answer.precision] * own.t[rows] / bound[rows]
+    factor = np.finfo(answer.precision).eps / 2.0 * own.t[rows] / bound[rows]
     of_shape = packed.shape_of(prim)
     for shape in np.unique(of_shape):
         here = np.flatnonzero(of_shape == shape)
@@ -198,4 +190,4 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.nda
     tells = factor != 0.0
     sums = np.bincount(row_groups(prim[tells, None]), error[tells] * factor[tells])
     weight = float(factor @ factor)
-    return FactorFit(float(error @ factor) / weight if weight > 0.0 else 0.0, z_of(sums), len(sums))
+    return float(error @ factor) / weight if weight > 0.0 else 0.0, z_of(sums), len(sums)

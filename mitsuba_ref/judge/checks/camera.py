@@ -6,7 +6,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
-from mitsuba_ref.error_model.intersections import dot, norm, without_float_warnings, without_overflow_warnings
+from mitsuba_ref.error_model.intersections import Array, dot, norm, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, KU, KU_OURS
 from mitsuba_ref.judge.checks import Found, check, worst_pixel
 from mitsuba_ref.reference.rendering import ReferenceResult
@@ -40,7 +40,7 @@ def check_camera(scene: Scene) -> Found:
     return worst_pixel(shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
 
 
-def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _on_rim(scene: Scene, x: Array, y: Array) -> Array:
     """(n,) bool: pixels so near the edge of the image circle that rounding decides whether they have a ray."""
     film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
@@ -78,6 +78,6 @@ def check_sensor(scene: Scene, result: ReferenceResult) -> Found:
 
 
 @without_float_warnings
-def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
+def _relative(ours: Array, expected: Array) -> Array:
     error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
     return np.where(ours == expected, 0.0, error)

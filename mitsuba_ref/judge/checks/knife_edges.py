@@ -5,7 +5,8 @@ bound of a kernel that is too small shows as a wrong first hit or a wrong t.
 """
 
 import zlib
-from typing import NamedTuple
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
-from mitsuba_ref.error_model.intersections import without_overflow_warnings
-from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
+from mitsuba_ref.error_model.intersections import Array, without_overflow_warnings
+from mitsuba_ref.hard.rays import ALL_AIMS, Frame, RayBatch, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.shared_input import own_model
@@ -33,16 +34,11 @@ LARGEST_FLOAT64 = float(np.finfo(np.float64).max)  # a larger t may be returned 
 class NearestHits(NamedTuple):
     """The first hit of each ray."""
 
-    t: np.ndarray  # (n,) lengths of d, inf on a miss
-    prim: np.ndarray  # (n,) number in the scene, -1 on a miss
-
-    @property
-    def hit(self) -> np.ndarray:
-        """(n,) bool. A NaN counts as a hit, so that it is noticed."""
-        return ~np.isposinf(self.t)
+    t: Array  # (n,) lengths of d, inf on a miss
+    prim: Array  # (n,) number in the scene, -1 on a miss
 
 
-def nearest_hits(packed: Packed, t: np.ndarray, shape: np.ndarray, prim: np.ndarray) -> NearestHits:
+def nearest_hits(packed: Packed, t: Array, shape: Array, prim: Array) -> NearestHits:
     """Hits by number of the shape, -1 on a miss, and of the primitive within it."""
     within = packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0)
     return NearestHits(t, np.where(shape < 0, -1, within).astype(np.int64))
@@ -96,8 +92,8 @@ class Adjudicated(NamedTuple):
     """Hits compared with the exact answers, one row for each ray."""
 
     answers: list[ExactAnswer]
-    bounds: np.ndarray  # (n,) of t
-    ratios: np.ndarray  # (n,) the error of t over its bound; inf for another first hit
+    bounds: Array  # (n,) of t
+    ratios: Array  # (n,) the error of t over its bound; inf for another first hit
     kinds: list[str]  # "missed", "phantom", "prim" or "t"; "" if right
     texts: list[str]  # both hits in words; "" if right
 
@@ -175,54 +171,41 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
     if len(bad):
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
         words = f"{len(bad)} of {words}, first from {o} along {d}: {texts[bad[0]]}"
-    wrong_rays += [AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS]]
+    for i in bad[:REPRODUCERS]:
+        wrong_rays.append(AimedFailure(texts[i], scene_of_ray(scene, rays.o[i], rays.d[i], float(rays.t_max[i]))))
     return float(ratios.max()), words
 
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
 def rays_at_edges(subject: PreparedScene) -> RayBatch:
     """Aimed rays, some of the camera's rays, and some of both with other limits; the same for the same scene."""
-    rng = np.random.default_rng(content_seed(subject.packed))
+    seed = 0  # from the geometry in world space alone, not from names and files
+    for array in chain.from_iterable(subject.packed.parts):
+        seed = zlib.crc32(np.ascontiguousarray(array).view(np.uint8).data, seed)
+    rng = np.random.default_rng(seed)
     targets = Targets(subject.packed, rng)
-    aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
+    eye = np.array(subject.scene.camera.eye, np.float64)
+
+    def from_eye(targets: Targets, count: int) -> tuple[Array, Array]:
+        return np.tile(eye, (count, 1)), targets.points(count).p - eye
+
     film = camera_rays(subject.scene, threads=1)
     count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, MIN_AIMED_RAYS, MAX_AIMED_RAYS))
     others = int(SHARE_OF_OTHERS * count)
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
     own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
-    targets.frame = _frame(targets)
-    rays = concatenated(own, aimed_rays(targets, count, aims))
+    p = targets.points(SIZE_SAMPLES, "inside").p
+    center = np.median(p, axis=0)  # medians, so that a single far primitive does not count
+    size = float(np.median(np.abs(p - center).max(axis=1)))
+    targets.frame = Frame(size if size > 0.0 else 1.0, center)
+    rays = concatenated(own, aimed_rays(targets, count, (*ALL_AIMS, from_eye)))
     first = cast_by_culling(subject.packed, rays, "bvh")
     return concatenated(rays, with_limits(rng, rays, first, others))
 
 
-def content_seed(packed: Packed) -> int:
-    """A seed that depends on the geometry in world space alone, not on names and files."""
-    seed = 0
-    for part in packed.parts:
-        for array in part:
-            seed = zlib.crc32(np.ascontiguousarray(array).view(np.uint8).data, seed)
-    return seed
-
-
-def _frame(targets: Targets) -> Frame:
-    """Centre and size of the scene: medians, so that a single far primitive does not count."""
-    p = targets.points(SIZE_SAMPLES, "inside").p
-    center = np.median(p, axis=0)
-    size = float(np.median(np.abs(p - center).max(axis=1)))
-    return Frame(size if size > 0.0 else 1.0, center)
-
-
-def _from_eye(eye: np.ndarray) -> Aim:
-    def aim(targets: Targets, count: int) -> tuple[np.ndarray, np.ndarray]:
-        return np.tile(eye, (count, 1)), targets.points(count).p - eye
-
-    return aim
-
-
-def _scene_of_ray(scene: Scene, rays: RayBatch, i: int) -> Scene:
-    """The scene with this ray as its camera."""
-    limit = float(rays.t_max[i])
-    camera = Ray(origin=rays.o[i], direction=rays.d[i], t_max=limit if 0.0 < limit < np.inf else None)
-    return scene.model_copy(update={"film": Film(width=1, height=1), "camera": camera, "lights": (), "checks": {}})
+def scene_of_ray(scene: Scene, o: Array, d: Array, t_max: float = np.inf, **parts: Any) -> Scene:
+    """The scene with this ray as its camera, and with these parts in place of its own; without lights."""
+    camera = Ray(origin=o, direction=d, t_max=t_max if 0.0 < t_max < np.inf else None)
+    film = Film(width=1, height=1)
+    return scene.model_copy(update={"film": film, "camera": camera, "lights": (), "checks": {}, **parts})

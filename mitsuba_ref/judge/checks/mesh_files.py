@@ -21,7 +21,7 @@ import numpy as np
 from caster.scene.model import Scene
 from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.intersections import without_float_warnings, without_overflow_warnings
+from mitsuba_ref.error_model.intersections import Array, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
 from mitsuba_ref.judge.checks import Found, check, worst_share
 from mitsuba_ref.reference.messages import LoadedMesh
@@ -164,7 +164,7 @@ def _in_file(file: Path) -> tuple[set[bool], set[bool]]:
     return uv, normals
 
 
-def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
+def _one_to_one(ours: Array, theirs: Array) -> float:
     """0 if the same corners (f, 3) share a vertex on both sides, else inf."""
     same = True
     for a, b in ((ours, theirs), (theirs, ours)):
@@ -175,7 +175,7 @@ def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 
 @without_overflow_warnings
-def _same_in_float32(ours: np.ndarray, theirs: np.ndarray) -> float:
+def _same_in_float32(ours: Array, theirs: Array) -> float:
     """0 if theirs are ours rounded to float32, where a tie may go either way; else inf."""
     if ours.shape != theirs.shape:
         return float("inf")

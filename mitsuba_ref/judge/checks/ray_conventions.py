@@ -10,7 +10,7 @@ from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import dot, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, dot, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Found, check
@@ -63,7 +63,7 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
     return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
 
 
-def cast_further(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def cast_further(subject: Subject, scene: Scene, o: Array, d: Array) -> tuple[Array, Array] | None:
     """(a candidate's t, the expected t) along further rays (m, 3), rounded to float32; None if it gives no answer."""
     o, d = _rounded(o), _rounded(d)
     try:
@@ -72,7 +72,7 @@ def cast_further(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -
         return None
 
 
-def _answer(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+def _answer(subject: Subject, scene: Scene, o: Array, d: Array) -> Array:
     """t (m,) of a candidate along rays of float32 numbers, without limits.
 
     A candidate that accepts only as many rays as the film has pixels gets whole films of them.
@@ -87,18 +87,18 @@ def _answer(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> np.
         return np.concatenate(t)[: len(o)]
 
 
-def _answer_to(subject: Subject, scene: Scene, rays: SharedRays) -> np.ndarray:
+def _answer_to(subject: Subject, scene: Scene, rays: SharedRays) -> Array:
     with ScratchFolder() as folder:
         model = model_of(scene, packed_float32(scene), rays)
         return subject.answer(CastRequest(scene, model, rays, Path(folder))).t
 
 
-def _cast(scene: Scene, o: np.ndarray, d: np.ndarray, t_min: float) -> NearestHits:
+def _cast(scene: Scene, o: Array, d: Array, t_min: float) -> NearestHits:
     rays = RayBatch(o, d, np.full(len(o), t_min), np.full(len(o), np.inf))
     return cast_by_culling(packed_float32(scene), rays, "bvh")
 
 
-def expected_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def expected_t(scene: Scene, o: Array, d: Array) -> tuple[Array, Array, Array]:
     """t (m,) of our caster, the tolerance for others (MATCH_RTOL, or float32's bound if larger), and n . d."""
     found = _cast(scene, o, d, 0.0)
     model = model_of(scene, packed_float32(scene), endless_rays(o, d))
@@ -171,7 +171,7 @@ def check_ray_limits(subject: Subject) -> Found | None:
 # ---- lengths and directions
 
 
-def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _hitting_rays(scene: Scene) -> tuple[Array, Array]:
     """o, d (m, 3) of at most RAYS camera rays that hit something: float32 numbers, d of length 1."""
     shared = shared_rays(scene)
     some = _evenly(np.flatnonzero(shared.t_max >= 0.0), RAYS_TRIED)
@@ -182,15 +182,15 @@ def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return o[some], d[some]
 
 
-def _evenly(rows: np.ndarray, most: int) -> np.ndarray:
+def _evenly(rows: Array, most: int) -> Array:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
 
 
-def _rounded(v: np.ndarray) -> np.ndarray:
+def _rounded(v: Array) -> Array:
     return v.astype(np.float32).astype(np.float64)
 
 
-def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray]]]:
+def _groups(o: Array, d: Array) -> Iterator[tuple[str, tuple[Array, Array]]]:
     """(name, rays) for each length, then for mirrors in each axis about the middle of points on the rays."""
     for length in LENGTHS:
         yield f"|d| = {length:g}", (o, _rounded(length * d))
@@ -201,12 +201,12 @@ def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarra
 
 
 @without_float_warnings
-def _match(given: np.ndarray, t: np.ndarray, off: np.ndarray) -> np.ndarray:
+def _match(given: Array, t: Array, off: Array) -> Array:
     near = np.isfinite(t) & np.isfinite(given) & (np.abs(given - t) <= off)
     return near | (np.isposinf(given) & np.isposinf(t))
 
 
-def _cause(given: np.ndarray, t: np.ndarray, off: np.ndarray, length: np.ndarray) -> str:
+def _cause(given: Array, t: Array, off: Array, length: Array) -> str:
     """The common cause of nearly all wrong groups."""
     hit = np.isfinite(t)
     for what, factor in (

@@ -12,10 +12,11 @@ from caster.rendering.images import camera_rays, evaluate, film_window, render
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
-from mitsuba_ref.error_model.intersections import any_of_columns, norm
+from mitsuba_ref.error_model.intersections import Array, any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.textures import color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check, worst_pixel
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
@@ -54,9 +55,9 @@ def check_render(scene: Scene) -> Found:
         cast = trace(scene, rays.o + rays.t_min[:, None] * rays.d, rays.d, left, rays.t_min)
     differs = _differs(ours, evaluate(_by_longer_rays(cast), CHECKED_AOVS, window))
     rows = np.flatnonzero(differs)
-    differing, most = len(rows), RENDER_PIXELS_CHECKED if moved else UNMOVED_PIXELS_CHECKED
+    differing = len(rows)
     if differing:
-        rows = np.random.default_rng(1).choice(rows, min(most, differing), replace=False)
+        rows = sample_rows(rows, RENDER_PIXELS_CHECKED if moved else UNMOVED_PIXELS_CHECKED)
         differs[:] = False
         differs[rows] = ~_within_float64(scene, ours, rows, rays)
     ratio, what = _worst(scene, "pixel", differs)
@@ -64,14 +65,14 @@ def check_render(scene: Scene) -> Found:
     return ratio, what + sampled
 
 
-def _differs(ours: Aovs, others: Aovs) -> np.ndarray:
+def _differs(ours: Aovs, others: Aovs) -> Array:
     """(n,) bool: pixels where some AOV has other bits."""
     pixels = len(aov_rows(ours, "depth"))
     differs = [any_of_columns(bits_differ(ours[name], others[name]).reshape(pixels, -1)) for name in CHECKED_AOVS]
     return np.any(differs, axis=0)
 
 
-def _worst(scene: Scene, what: str, differs: np.ndarray) -> Found:
+def _worst(scene: Scene, what: str, differs: Array) -> Found:
     return worst_pixel({what: np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
 
 
@@ -86,7 +87,7 @@ def _by_longer_rays(view: RayHits) -> RayHits:
     )
 
 
-def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Any) -> np.ndarray:
+def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     """(m,) bool: at these rows, geometry is in float64's bracket, and diffuse as the lights' definitions give it."""
     rays = RaySegments(*(each[rows] for each in rays[:4]))
     depth, n, sh_n, p, uv, shape, diffuse, prim, albedo = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)

@@ -32,14 +32,11 @@ class Precision(NamedTuple):
 
     name: str  # of NumPy's type
     packing: Callable[[Scene], Packed]
-    unit_roundoff: float
-    # Below the smallest normal number, the spacing of numbers is constant, and a rounding error is at most half of it.
-    smallest_normal: float
 
 
 PRECISIONS = (
-    Precision("float64", packed, 2.0**-53, 2.0**-1022),  # for `render`
-    Precision("float32", packed_float32, 2.0**-24, 2.0**-126),  # for the comparison with the reference
+    Precision("float64", packed),  # for `render`
+    Precision("float32", packed_float32),  # for the comparison with the reference
 )
 
 
@@ -66,7 +63,7 @@ def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
             for field in unrounded_arrays(part, precision.name):
                 yield np.inf, f"{field} of {name} not rounded to {precision.name}"
             for claim in reference_of(shape).expected(described, part):
-                share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
+                share = _packing_error_ratio(claim, np.finfo(precision.name))
                 yield share, f"{claim.what} of {name} ({precision.name})"
 
 
@@ -81,13 +78,16 @@ def unrounded_arrays(part: Any, dtype: str) -> list[str]:
     return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
 
 
-def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
-    """Largest error over its bound; inf if the shape of the array differs."""
+def _packing_error_ratio(claim: ExpectedNumbers, numbers: np.finfo[Any]) -> float:
+    """Largest error over its bound; inf if the shape of the array differs.
+
+    Below the smallest normal number, the spacing of numbers is constant, and a rounding error is at most half of it.
+    """
     if claim.packed.shape != np.shape(claim.expected):
         return float("inf")
     error = np.abs(claim.packed - claim.expected)
-    size = np.maximum(claim.size, normal) if claim.rounded else claim.size
-    bound = TRANSFORM_ROUNDINGS * rounding * np.broadcast_to(size, error.shape)
+    size = np.maximum(claim.size, float(numbers.tiny)) if claim.rounded else claim.size
+    bound = TRANSFORM_ROUNDINGS * float(numbers.eps) / 2.0 * np.broadcast_to(size, error.shape)
     undefined = np.isposinf(bound)  # the direction of normals that cancel
     return float(np.where(undefined, 0.0, error_over_bound(error, bound)).max(initial=0.0))
 

@@ -15,10 +15,10 @@ from caster.rendering.hits import cast, occluded
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
 from caster.scene.model import Point, Scene
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.error_model.intersections import LARGEST_COORDINATE
+from mitsuba_ref.error_model.intersections import LARGEST_COORDINATE, Array
 from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check
 
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, Array]
 
 ALL = tuple(BY_NAME)
 SETS = [*((name,) for name in ALL), ("depth", "normal"), ("uv", "depth"), ("diffuse", "prim_id")]
@@ -82,7 +82,7 @@ def route_differences(scene: Scene) -> Iterator[str]:
 
 
 def _cast_differences(
-    scene: Scene, image: Arrays, lines: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray]
+    scene: Scene, image: Arrays, lines: tuple[Array, Array], limits: tuple[Array, Array]
 ) -> Iterator[str]:
     """Between the image and its rays cast one by one, and between limits for all rays and for each."""
     o, d = lines
