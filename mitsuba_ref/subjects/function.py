@@ -35,6 +35,11 @@ MAX_TRACEBACK_FRAMES = 4
 _one_at_a_time = threading.Lock()
 
 
+def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
+    """The candidate MODULE:NAME. Raises SceneError."""
+    return function_subject(imported(text), text, precision)
+
+
 def imported(text: str) -> Callable[..., Any]:
     """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")

@@ -33,7 +33,7 @@ from mitsuba_ref.subjects.command import (
     camera_rounding,
     split_command,
 )
-from mitsuba_ref.subjects.function import FUNCTION_PATTERN, function_subject, imported
+from mitsuba_ref.subjects.function import FUNCTION_PATTERN, import_function
 from mitsuba_ref.subjects.subject import (
     DEFAULT_SECONDS,
     PRECISIONS,
@@ -119,7 +119,7 @@ def _parsed(text: str, precision: str | None, seconds: float, served: bool) -> S
     if served:
         return ServedCommand(text, split_command(text, ())[0], precision, seconds)
     if FUNCTION_PATTERN.fullmatch(text):
-        return function_subject(imported(text), text, precision)
+        return import_function(text, precision)
     if not PLACEHOLDER.search(text):
         if text.lower().endswith(".exr"):
             return ExrFile(text, read_exr(text), precision)

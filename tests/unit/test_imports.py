@@ -226,8 +226,8 @@ def test_what_the_rules_name_is_there():
     assert {each for each in listed if each not in modules and each.rpartition(".")[0] not in modules} == set()
 
 
-MAX_FILES = 266
-MAX_PACKAGE_LAYERS = 12
+MAX_FILES = 268
+MAX_PACKAGE_LAYERS = 13
 MAX_SINGLE_IMPORTERS = 40
 
 
