@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
-import mmap
 import os
 import struct
 import threading
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,7 +42,14 @@ NO_ID = 0xFFFFFFFF
 
 MAGIC = 20000630  # first four bytes of an EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
-CHUNK_ROWS = 16  # of ZIP compression
+VERSION, TILED, LONG_NAMES, SHORT_NAME_BYTES = 2, 0x200, 0x400, 31
+ZIP, INCREASING_Y, ONE_LEVEL = 3, 0, 0  # values of attributes
+UINT, FLOAT = 0, 2  # types of channels
+
+TILE = 64  # pixels on a side: what OpenEXR's own tools write, and rows of tiles of 65536 pixels stay below 2^22 pixels
+# Of zlib, the fastest. The images are 6 to 20 % smaller than by the library, which compresses 16 rows at a time at its
+# level 4, and are written in as much time by two threads (every-shape, cornell-box, teapot; 5 and 11 channels).
+COMPRESSION_LEVEL = 1
 
 
 class Exr(NamedTuple):
@@ -63,71 +71,89 @@ def write_exr(
     display_window: Window | None = None,
     threads: int = 1,
 ) -> None:
-    """Write a single-part scanline EXR, float32; the same input gives the same bytes.
+    """Write a single-part EXR file in tiles, float32; the same input gives the same bytes.
 
     channels: name -> (h, w), any strides; uint32 stays UINT, floats of any width and bools become float32.
     provenance: string attributes `caster/<key>`; a key without `caster/` gets it.
     data_window: where the arrays lie on the film, default (0, 0, w, h).
     display_window: the whole film, default the data window.
-    threads: how many compress beside this one; none remain afterwards.
+    threads: how many compress; none remain afterwards.
     Raises SceneError for arrays that an EXR cannot hold (another shape, a finite value beyond float32), OutputError if
     the file cannot be written; an older file of that name then stays untouched.
     """
-    import OpenEXR  # deferred, so that `--help` does not load it
-
     height, width = common_shape(channels)
     window = checked_window("data_window", (0, 0, width, height) if data_window is None else data_window)
-    film = checked_window("display_window", window if display_window is None else display_window)
     if (window[2] - window[0], window[3] - window[1]) != (width, height):
         raise SceneError(f"data_window {window} does not fit channels of {width} x {height} pixels")
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "lineOrder": OpenEXR.INCREASING_Y,
-        "dataWindow": _inclusive(window),
-        "displayWindow": _inclusive(film),
-        **header_attributes(provenance),
+    write_bands(path, [channels], provenance, window, display_window or window, threads)
+
+
+def write_bands(
+    path: str | os.PathLike[str],
+    bands: Iterable[Mapping[str, NDArray[Any]]],
+    provenance: Mapping[str, str],
+    data_window: Window,
+    display_window: Window,
+    threads: int,
+) -> None:
+    """Write an EXR file as `write_exr` does, from bands of its rows, in memory for one of them.
+
+    bands: from the top down, all with the same channels, and of a multiple of TILE rows except for the last one.
+    """
+    x0, y0, x1, y1 = checked_window("data_window", data_window)
+    attributes = {
+        "compression": ("compression", bytes([ZIP])),
+        "dataWindow": ("box2i", _inclusive(data_window)),
+        "displayWindow": ("box2i", _inclusive(checked_window("display_window", display_window))),
+        "lineOrder": ("lineOrder", bytes([INCREASING_Y])),
+        "pixelAspectRatio": ("float", struct.pack("<f", 1.0)),
+        "screenWindowCenter": ("v2f", struct.pack("<2f", 0.0, 0.0)),
+        "screenWindowWidth": ("float", struct.pack("<f", 1.0)),
+        "tiles": ("tiledesc", struct.pack("<2IB", TILE, TILE, ONE_LEVEL)),
+        **{name: ("string", text.encode()) for name, text in header_attributes(provenance).items()},
     }
-    # The library stores a strided array in its memory order and puts its own objects into the dict that it gets, so it
-    # gets contiguous copies in a dict of its own.
-    copies = {name: to_storable(name, channels[name], window) for name in sorted(channels)}
-    with atomic_write(path) as part:
-        with compressing_threads(threads):
-            OpenEXR.File(header, copies).write(str(part))
-        _check_complete(part, -(-height // CHUNK_ROWS))
+    offsets = np.zeros((-(-(y1 - y0) // TILE), -(-(x1 - x0) // TILE)), "<u8")  # of tiles, known when they are written
+    with atomic_write(path) as part, part.open("wb") as file, ThreadPoolExecutor(threads) as pool:
+        first = 0  # row of the band
+        for channels in bands:
+            planes = {name: to_storable(name, channels[name], (x0, y0 + first)) for name in sorted(channels)}
+            if first == 0:
+                file.write(_header(planes, attributes))
+                table = file.tell()
+                file.write(offsets.tobytes())
+            rows, columns = common_shape(planes)
+            places = [(y, x) for y in range(0, rows, TILE) for x in range(0, columns, TILE)]
+            for (y, x), chunk in zip(places, pool.map(partial(_tile, [*planes.values()]), places), strict=True):
+                row, column = (first + y) // TILE, x // TILE
+                offsets[row, column] = file.tell()
+                file.write(struct.pack("<5i", column, row, 0, 0, len(chunk)) + chunk)
+            first += rows
+        if not offsets.all():
+            raise ValueError(f"the bands have {first} of {y1 - y0} rows")
+        file.seek(table)
+        file.write(offsets.tobytes())
 
 
-@contextlib.contextmanager
-def compressing_threads(count: int) -> Iterator[None]:
-    """Let OpenEXR use threads while the body writes. None remain, since a fork of this process would wait for them."""
-    import OpenEXR
-
-    if count < 2:
-        yield
-        return
-    OpenEXR.set_global_thread_count(count)
-    try:
-        yield
-    finally:
-        OpenEXR.set_global_thread_count(0)
+def _header(planes: Mapping[str, np.ndarray], attributes: Mapping[str, tuple[str, bytes]]) -> bytes:
+    """The header of an image of these channels. attributes: type and value by name."""
+    kinds = {name: UINT if plane.dtype == np.uint32 else FLOAT for name, plane in planes.items()}
+    channels = b"".join(name.encode() + struct.pack("<x4i", kind, 0, 1, 1) for name, kind in kinds.items())
+    long = any(len(name.encode()) > SHORT_NAME_BYTES for name in (*attributes, *planes))
+    values = [
+        f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value
+        for name, (kind, value) in {"channels": ("chlist", channels + b"\0"), **attributes}.items()
+    ]
+    return struct.pack("<2I", MAGIC, VERSION | TILED | (LONG_NAMES if long else 0)) + b"".join(values) + b"\0"
 
 
-def _check_complete(path: Path, chunk_count: int) -> None:
-    """Raise OSError for a truncated file: OpenEXR does not check that its last buffer was written."""
-    try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            at = 8  # the first attribute: name, type, size, value
-            while data[at]:
-                name = data.find(b"\0", at)
-                kind = data.find(b"\0", name + 1)
-                at = kind + 5 + struct.unpack_from("<I", data, kind + 1)[0]
-            chunks = struct.unpack_from(f"<{chunk_count}Q", data, at + 1)
-            (size,) = struct.unpack_from("<4xi", data, max(chunks))
-            whole = min(chunks) > at and max(chunks) + 8 + size == len(data)
-    except (ValueError, IndexError, struct.error):
-        whole = False
-    if not whole:
-        raise OSError(errno.ENOSPC, "the file was not written to its end, as on a full disk")
+def _tile(planes: Sequence[np.ndarray], corner: tuple[int, int]) -> bytes:
+    """The pixels of a tile, compressed; as they are where that is no longer."""
+    y, x = corner
+    words = np.stack([plane.view(np.uint32)[y : y + TILE, x : x + TILE] for plane in planes], axis=1)
+    halves = words.view(np.uint8).reshape(-1, 2).T.reshape(-1)  # bytes at even places, then those at odd ones
+    differences = np.diff(halves, prepend=np.uint8(128)) + np.uint8(128)  # modulo 256; the first is the byte itself
+    chunk = zlib.compress(differences.data, COMPRESSION_LEVEL)
+    return chunk if len(chunk) < words.nbytes else words.tobytes()
 
 
 def read_exr(path: str | os.PathLike[str]) -> Exr:
@@ -159,9 +185,9 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     )
 
 
-def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
+def _inclusive(window: Window) -> bytes:
     x0, y0, x1, y1 = window
-    return (x0, y0), (x1 - 1, y1 - 1)
+    return struct.pack("<4i", x0, y0, x1 - 1, y1 - 1)
 
 
 def _is_multi_part(path: Path) -> bool:

@@ -81,8 +81,11 @@ def header_attributes(provenance: Mapping[str, str]) -> dict[str, str]:
     return attributes
 
 
-def to_storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
-    """A contiguous float32 or uint32 copy. Raises SceneError for a finite value that float32 cannot hold."""
+def to_storable(name: str, values: np.ndarray, corner: tuple[int, int]) -> np.ndarray:
+    """A contiguous float32 or uint32 copy. Raises SceneError for a finite value that float32 cannot hold.
+
+    corner: the pixel of the film at which the values begin.
+    """
     values = np.asarray(values)
     if values.dtype == np.uint32:
         return np.array(values, np.uint32, order="C")
@@ -94,7 +97,7 @@ def to_storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
     if lost.any():
         y, x = np.argwhere(lost)[0]
         raise SceneError(
-            f"channel '{name}' at pixel ({window[0] + x}, {window[1] + y}): "
+            f"channel '{name}' at pixel ({corner[0] + x}, {corner[1] + y}): "
             f"{float(values[y, x])!r} is beyond float32 (largest {np.finfo(np.float32).max:.9g})"
         )
     return narrow
