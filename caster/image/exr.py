@@ -24,6 +24,7 @@ from caster.image.exr_validation import (
     UnreadableExr,
     Window,
     check_all_read,
+    check_memory,
     check_parts,
     checked_window,
     common_shape,
@@ -42,14 +43,16 @@ NO_ID = 0xFFFFFFFF
 
 MAGIC = 20000630  # first four bytes of an EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
-VERSION, TILED, LONG_NAMES, SHORT_NAME_BYTES = 2, 0x200, 0x400, 31
+VERSION, TILED, LONG_NAMES = 2, 0x200, 0x400  # flags of the files written here; names may be longer than 31 bytes
 ZIP, INCREASING_Y, ONE_LEVEL = 3, 0, 0  # values of attributes
 UINT, FLOAT = 0, 2  # types of channels
+STORED_TYPES = np.uint32, np.float16, np.float32  # by these numbers
 
 TILE = 64  # pixels on a side: what OpenEXR's own tools write, and rows of tiles of 65536 pixels stay below 2^22 pixels
 # Of zlib, the fastest. The images are 6 to 20 % smaller than by the library, which compresses 16 rows at a time at its
 # level 4, and are written in as much time by two threads (every-shape, cornell-box, teapot; 5 and 11 channels).
 COMPRESSION_LEVEL = 1
+BAND_PIXELS = 1 << 21  # of an image that is read in bands
 
 
 class Exr(NamedTuple):
@@ -88,6 +91,10 @@ def write_exr(
     write_bands(path, [channels], provenance, window, display_window or window, threads)
 
 
+Attribute = tuple[Any, ...]
+"""Type, layout as `struct` has it, values."""
+
+
 def write_bands(
     path: str | os.PathLike[str],
     bands: Iterable[Mapping[str, NDArray[Any]]],
@@ -101,16 +108,16 @@ def write_bands(
     bands: from the top down, all with the same channels, and of a multiple of TILE rows except for the last one.
     """
     x0, y0, x1, y1 = checked_window("data_window", data_window)
-    attributes = {
-        "compression": ("compression", bytes([ZIP])),
-        "dataWindow": ("box2i", _inclusive(data_window)),
-        "displayWindow": ("box2i", _inclusive(checked_window("display_window", display_window))),
-        "lineOrder": ("lineOrder", bytes([INCREASING_Y])),
-        "pixelAspectRatio": ("float", struct.pack("<f", 1.0)),
-        "screenWindowCenter": ("v2f", struct.pack("<2f", 0.0, 0.0)),
-        "screenWindowWidth": ("float", struct.pack("<f", 1.0)),
-        "tiles": ("tiledesc", struct.pack("<2IB", TILE, TILE, ONE_LEVEL)),
-        **{name: ("string", text.encode()) for name, text in header_attributes(provenance).items()},
+    attributes: dict[str, Attribute] = {
+        "compression": ("compression", "B", ZIP),
+        "dataWindow": ("box2i", "4i", *_inclusive(data_window)),
+        "displayWindow": ("box2i", "4i", *_inclusive(checked_window("display_window", display_window))),
+        "lineOrder": ("lineOrder", "B", INCREASING_Y),
+        "pixelAspectRatio": ("float", "f", 1.0),
+        "screenWindowCenter": ("v2f", "2f", 0.0, 0.0),
+        "screenWindowWidth": ("float", "f", 1.0),
+        "tiles": ("tiledesc", "2IB", TILE, TILE, ONE_LEVEL),
+        **{name: _text("string", text.encode()) for name, text in header_attributes(provenance).items()},
     }
     offsets = np.zeros((-(-(y1 - y0) // TILE), -(-(x1 - x0) // TILE)), "<u8")  # of tiles, known when they are written
     with atomic_write(path) as part, part.open("wb") as file, ThreadPoolExecutor(threads) as pool:
@@ -134,16 +141,19 @@ def write_bands(
         file.write(offsets.tobytes())
 
 
-def _header(planes: Mapping[str, np.ndarray], attributes: Mapping[str, tuple[str, bytes]]) -> bytes:
-    """The header of an image of these channels. attributes: type and value by name."""
+def _text(kind: str, text: bytes) -> Attribute:
+    return kind, f"{len(text)}s", text
+
+
+def _header(planes: Mapping[str, np.ndarray], attributes: Mapping[str, Attribute]) -> bytes:
+    """The header of an image of these channels."""
     kinds = {name: UINT if plane.dtype == np.uint32 else FLOAT for name, plane in planes.items()}
-    channels = b"".join(name.encode() + struct.pack("<x4i", kind, 0, 1, 1) for name, kind in kinds.items())
-    long = any(len(name.encode()) > SHORT_NAME_BYTES for name in (*attributes, *planes))
-    values = [
-        f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value
-        for name, (kind, value) in {"channels": ("chlist", channels + b"\0"), **attributes}.items()
-    ]
-    return struct.pack("<2I", MAGIC, VERSION | TILED | (LONG_NAMES if long else 0)) + b"".join(values) + b"\0"
+    channels = b"".join(name.encode() + struct.pack("<x4i", kind, 0, 1, 1) for name, kind in kinds.items()) + b"\0"
+    header = struct.pack("<2I", MAGIC, VERSION | TILED | LONG_NAMES)
+    for name, (kind, layout, *values) in {"channels": _text("chlist", channels), **attributes}.items():
+        value = struct.pack("<" + layout, *values)
+        header += f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value
+    return header + b"\0"
 
 
 def _tile(planes: Sequence[np.ndarray], corner: tuple[int, int]) -> bytes:
@@ -162,10 +172,13 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     A channel without a layer (`Z`) gets the name of its part (`depth.Z`), unless the part is called `rgba`, `rgb`,
     `beauty`, `combined` or `main`. Of several resolutions, the finest is read.
     Raises FileMissing if there is no such file, UnreadableExr if it is not a complete, flat EXR image, or if its parts
-    are not layers of one image, such as parts of different sizes or of several views.
+    are not layers of one image, such as parts of different sizes or of several views, or do not fit into memory.
     """
     path = Path(path)
-    read = _decode_multi_part(path) if _is_multi_part(path) else [_decode(path)[0]]
+    headers = _headers(path)
+    check_memory(path, headers)
+    read = _decode(path)
+    check_all_read(path, headers, [part.name() for part in read])
     names = {part.name(): part.channels for part in read}
     called = merged_channel_names(path, names) if len(read) > 1 else {}
     header = read[0].header
@@ -185,13 +198,42 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     )
 
 
-def _inclusive(window: Window) -> bytes:
+def read_bands(path: str | os.PathLike[str]) -> Iterator[Exr]:
+    """Read an image in bands of its rows, from the top, in memory for one of them.
+
+    All have the windows of the whole image. An image of several parts, or of few pixels, is one band. Raises as
+    `read_exr`.
+    """
+    import OpenEXR
+
+    path = Path(path)
+    headers = _headers(path)
+    window, film = (window_of(headers[0][name]) for name in ("dataWindow", "displayWindow"))
     x0, y0, x1, y1 = window
-    return struct.pack("<4i", x0, y0, x1 - 1, y1 - 1)
+    rows = max(1, BAND_PIXELS // ((x1 - x0) * TILE)) * TILE
+    if len(headers) > 1 or y1 - y0 <= rows:
+        yield read_exr(path)
+        return
+    for y in range(y0, y1, rows):
+        end = min(y + rows, y1)
+        try:
+            with _library_output_suppressed():
+                file = OpenEXR.InputFile(str(path))
+                kinds = {name: STORED_TYPES[channel.type.v] for name, channel in file.header()["channels"].items()}
+                read = file.channels(list(kinds), scanLine1=y, scanLine2=end - 1)
+            planes = [np.frombuffer(*each).reshape(end - y, x1 - x0) for each in zip(read, kinds.values(), strict=True)]
+        except Exception as e:  # the library raises various types
+            raise UnreadableExr(f"{path}: damaged, truncated or subsampled; write it again") from e
+        yield Exr(dict(zip(kinds, planes, strict=True)), merged_provenance(path, headers), window, film)
 
 
-def _is_multi_part(path: Path) -> bool:
-    """Whether a file is a multi-part EXR. Raises FileMissing, and UnreadableExr for anything but a flat EXR image."""
+def _inclusive(window: Window) -> Window:
+    x0, y0, x1, y1 = window
+    return x0, y0, x1 - 1, y1 - 1
+
+
+def _headers(path: Path) -> list[Any]:
+    """The headers of all parts. Raises FileMissing, and UnreadableExr for anything but layers of one flat image."""
     if not os.path.lexists(path):
         raise FileMissing(f"{path}: no such file")
     try:
@@ -207,16 +249,9 @@ def _is_multi_part(path: Path) -> bool:
         raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with '{text}'")
     if flags & DEEP and not flags & MULTI_PART:
         raise UnreadableExr(f"{path}: a deep EXR has many samples per pixel; write a flat one")
-    return bool(flags & MULTI_PART)
-
-
-def _decode_multi_part(path: Path) -> list[Any]:
-    """Decode all parts of a multi-part file, after checking that they are layers of one image."""
     headers = [part.header for part in _decode(path, header_only=True)]
     check_parts(path, headers)
-    read = _decode(path)
-    check_all_read(path, headers, [part.name() for part in read])
-    return read
+    return headers
 
 
 def _decode(path: Path, *, header_only: bool = False) -> list[Any]:

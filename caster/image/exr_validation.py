@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError
+from caster.system.processor import available_bytes
 
 __all__ = ["PROVENANCE_PREFIX"]
 
@@ -137,6 +138,21 @@ def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
         raise UnreadableExr(
             f"{path}: parts of different sizes, expected layers of one image: pixels (x0, y0, x1, y1): part "
             f"{', '.join(shown)}; write one of them, or all with the same data window"
+        )
+
+
+BYTES_PER_VALUE = 8  # four in the library's array, and four in its copy
+
+
+def check_memory(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
+    """Raise UnreadableExr with the numbers for an image that does not fit into the memory that is left."""
+    x0, y0, x1, y1 = window_of(headers[0]["dataWindow"])
+    count = sum(len(each["channels"]) for each in headers)
+    needed, left = (x1 - x0) * (y1 - y0) * count * BYTES_PER_VALUE, available_bytes()
+    if needed > left:
+        raise UnreadableExr(
+            f"{path}: {x1 - x0} x {y1 - y0} pixels of {count} channels need {needed / 1e9:.1f} GB, and "
+            f"{left / 1e9:.1f} GB are left: render a crop, or fewer AOVs"
         )
 
 

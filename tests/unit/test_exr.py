@@ -57,7 +57,10 @@ def test_memory_layout_never_reaches_the_file(tmp_path, view):
 def test_the_header_is_single_part_zip_tiles_without_a_name(tmp_path):
     write_exr(tmp_path / "a.exr", {"Z": ramp(), "id.prim": np.zeros(SHAPE, np.uint32)})
     data = (tmp_path / "a.exr").read_bytes()
-    assert struct.unpack("<II", data[:8]) == (20000630, 0x202)  # version 2, tiled; neither deep nor parts
+    assert struct.unpack("<II", data[:8]) == (
+        20000630,
+        0x602,
+    )  # version 2, tiled, with long names; neither deep nor parts
     header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
     assert "name" not in header and "capDate" not in header
     assert header["compression"] == OpenEXR.ZIP_COMPRESSION
