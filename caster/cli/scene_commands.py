@@ -37,7 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
     add(
-        "-o", "--output", metavar="OUT.exr", type=OutputFile, help="default: the scene's name with .exr, in this folder"
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        type=OutputFile,
+        help="default: the scene's name with .exr, in this folder; written in tiles, as they are rendered",
     )
     add("--aov", type=str, metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
     help_ = "render these pixels only; X1 and Y1 are exclusive"
