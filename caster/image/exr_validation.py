@@ -21,6 +21,7 @@ Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are exclusive."""
 
 PROVENANCE_PREFIX = "caster/"
+MAX_COORDINATE = 1 << 30  # of a pixel; the library reads images just within it
 MAX_NAME_BYTES = 255  # the library silently drops an attribute with a longer name
 
 
@@ -56,10 +57,10 @@ def _utf8(what: str, text: str) -> bytes:
 
 
 def checked_window(what: str, window: Window) -> Window:
-    """A window as integers. Raises SceneError for an empty one."""
+    """A window as integers. Raises SceneError for an empty one, or for pixels that the library does not read."""
     x0, y0, x1, y1 = (int(edge) for edge in window)
-    if x1 <= x0 or y1 <= y0:
-        raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, got ({x0}, {y0}, {x1}, {y1})")
+    if not (-MAX_COORDINATE < x0 < x1 < MAX_COORDINATE and -MAX_COORDINATE < y0 < y1 < MAX_COORDINATE):
+        raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, between -2^30 and 2^30, got ({x0}, {y0}, {x1}, {y1})")
     return x0, y0, x1, y1
 
 

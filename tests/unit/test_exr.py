@@ -105,6 +105,7 @@ def test_a_crop_is_stored_as_inclusive_boxes_and_comes_back(tmp_path):
         ({"Z": np.zeros((2, 2))}, {"data_window": (0, 0, 3, 2)}, ["(0, 0, 3, 2)", "2 x 2"]),
         ({"Z": np.zeros((2, 2))}, {"data_window": (2, 0, 0, 2)}, ["data_window", "(2, 0, 0, 2)"]),
         ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 0, 2)}, ["display_window"]),
+        ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 2, 2**31)}, ["display_window", "2^30"]),
     ],
 )
 def test_what_an_exr_cannot_hold_is_an_error_that_states_it(tmp_path, channels, options, words):
