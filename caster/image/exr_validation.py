@@ -21,7 +21,7 @@ Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are exclusive."""
 
 PROVENANCE_PREFIX = "caster/"
-MAX_COORDINATE = 1 << 30  # of a pixel; the library reads images just within it
+MAX_COORDINATE = (1 << 30) - 1  # of a pixel; the library reads images within it
 MAX_NAME_BYTES = 255  # the library silently drops an attribute with a longer name
 
 
