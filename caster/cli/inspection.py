@@ -123,7 +123,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
             {
                 "kind": type(kind.prims).__name__.lower(),
                 "count": len(kind.ids),
-                "looked_for": on_film[i] if on_film is not None else len(kind.ids),
+                "looked_for": int(on_film[i].sum()) if on_film else len(kind.ids),
                 "way": _way(kind, plan.culling),
                 "nodes": len(bvh_of(kind).links) if has_bvh(kind) else 0,
             }
@@ -133,7 +133,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "trees": {**plan.trees._asdict(), "grown": sum(has_bvh(kind) for kind in kinds)},
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {
-            "hits": int(rendered.aovs.hit.sum()) if plan.surfaces else 0,
+            "hits": rendered.hits if plan.surfaces else 0,
             "worked_out": list(plan.surfaces),
             "reason": plan.surfaces_reason,
         },

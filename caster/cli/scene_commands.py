@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from caster.cli.shared_arguments import (
     AOV_NAMES,
@@ -24,6 +26,10 @@ from caster.description.errors import SceneError, error_prefix
 from caster.system.process import FILE, OK, USAGE
 from caster.system.terminal import folded
 
+if TYPE_CHECKING:
+    from caster.aovs import Aovs
+    from caster.rendering.images import RenderResult
+
 # ---- render: a scene file in, an EXR file out ----
 
 
@@ -31,7 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
     add(
-        "-o", "--output", metavar="OUT.exr", type=OutputFile, help="default: the scene's name with .exr, in this folder"
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        type=OutputFile,
+        help="default: the scene's name with .exr, in this folder; written in tiles, as they are rendered",
     )
     add("--aov", type=str, metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
     help_ = "render these pixels only; X1 and Y1 are exclusive"
@@ -42,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Render, write the file and print a summary. Raises SceneError, FileMissing, OutputError."""
+    """Render, write the file band by band and print a summary. Raises SceneError, FileMissing, OutputError."""
     scene = load(args)
     if args.crop is not None:
         with error_prefix("--crop", *args.crop):
@@ -50,21 +60,26 @@ def run(args: argparse.Namespace) -> int:
     output = args.output if args.output is not None else f"{Path(args.scene).stem}.exr"
     check_exr_suffix(output)
     from caster.image.channels import write_render
-    from caster.rendering.images import check_names, render_film
+    from caster.rendering.images import check_names, render_bands, render_film
     from caster.rendering.threads import thread_count
     from caster.rendering.warm_up import compile_for
-    from caster.system.atomic_files import check_writable
     from caster.system.terminal import ProgressBar
 
     aovs = tuple(comma_separated(DEFAULT_AOV_LIST if args.aov is None else args.aov))
     check_names(aovs)
-    check_writable(output)  # before a render that may take long
     x0, y0, x1, y1 = scene.film.window
     with error_prefix(args.scene):
         compile_for(scene, f"film {' '.join(aovs)}", lambda small: render_film(small, aovs))
-        with closing(ProgressBar("rendering", (x1 - x0) * (y1 - y0))) as bar:
-            rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
-    write_render(output, scene, rendered.aovs, args.scene, threads=thread_count(args.threads))
+    rendered: RenderResult
+
+    def bands() -> Iterator[Aovs]:
+        nonlocal rendered
+        with error_prefix(args.scene):
+            for rendered in render_bands(scene, aovs, threads=args.threads, on_progress=bar.add):
+                yield rendered.aovs
+
+    with closing(ProgressBar("rendering", (x1 - x0) * (y1 - y0))) as bar:
+        write_render(output, scene, bands(), args.scene, threads=thread_count(args.threads))
     if args.json:
         from caster.cli.inspection import account
         from caster.jit.decorators import COMPILATION_LOG
@@ -76,8 +91,7 @@ def run(args: argparse.Namespace) -> int:
         from caster.cli.inspection import explain
 
         print(explain(rendered, aovs))
-    hit = rendered.aovs.hit
-    print(f"{output}: {x1 - x0} x {y1 - y0} pixels, {int(hit.sum())} hit; {', '.join(aovs)}")
+    print(f"{output}: {x1 - x0} x {y1 - y0} pixels, {rendered.hits} hit; {', '.join(aovs)}")
     return OK
 
 

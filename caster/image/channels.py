@@ -1,13 +1,13 @@
 """Conversion between AOVs and the channels of an EXR file, and the provenance stored in it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from caster import __version__
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import in_words
-from caster.image.exr import NO_ID, write_exr
+from caster.image.exr import NO_ID, write_bands
 from caster.scene.model import Scene
 
 __all__ = ["aovs_to_channels", "channels_to_aovs", "provenance", "write_render"]
@@ -58,11 +58,12 @@ def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
 
 
 def write_render(
-    output: str, scene: Scene, aovs: Aovs, path: str, more: Mapping[str, str] = {}, *, threads: int = 1
+    output: str, scene: Scene, bands: Iterable[Aovs], path: str, more: Mapping[str, str] = {}, *, threads: int = 1
 ) -> None:
-    """Write the AOVs of a scene as an EXR file with its provenance. path: the scene file; more: further attributes."""
+    """Write the AOVs of a scene as an EXR file with its provenance.
+
+    bands: as for `write_bands`. path: the scene file; more: further attributes.
+    """
     film = (0, 0, scene.film.width, scene.film.height)
     attributes = {**provenance(scene, __version__, path), **more}
-    write_exr(
-        output, aovs_to_channels(aovs), attributes, data_window=scene.film.window, display_window=film, threads=threads
-    )
+    write_bands(output, map(aovs_to_channels, bands), attributes, scene.film.window, film, threads)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError
+from caster.system.processor import available_bytes
 
 __all__ = ["PROVENANCE_PREFIX"]
 
@@ -20,6 +21,7 @@ Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are exclusive."""
 
 PROVENANCE_PREFIX = "caster/"
+MAX_COORDINATE = (1 << 30) - 1  # of a pixel; the library reads images within it
 MAX_NAME_BYTES = 255  # the library silently drops an attribute with a longer name
 
 
@@ -55,10 +57,10 @@ def _utf8(what: str, text: str) -> bytes:
 
 
 def checked_window(what: str, window: Window) -> Window:
-    """A window as integers. Raises SceneError for an empty one."""
+    """A window as integers. Raises SceneError for an empty one, or for pixels that the library does not read."""
     x0, y0, x1, y1 = (int(edge) for edge in window)
-    if x1 <= x0 or y1 <= y0:
-        raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, got ({x0}, {y0}, {x1}, {y1})")
+    if not (-MAX_COORDINATE < x0 < x1 < MAX_COORDINATE and -MAX_COORDINATE < y0 < y1 < MAX_COORDINATE):
+        raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, between -2^30 and 2^30, got ({x0}, {y0}, {x1}, {y1})")
     return x0, y0, x1, y1
 
 
@@ -81,8 +83,11 @@ def header_attributes(provenance: Mapping[str, str]) -> dict[str, str]:
     return attributes
 
 
-def to_storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
-    """A contiguous float32 or uint32 copy. Raises SceneError for a finite value that float32 cannot hold."""
+def to_storable(name: str, values: np.ndarray, corner: tuple[int, int]) -> np.ndarray:
+    """A contiguous float32 or uint32 copy. Raises SceneError for a finite value that float32 cannot hold.
+
+    corner: the pixel of the film at which the values begin.
+    """
     values = np.asarray(values)
     if values.dtype == np.uint32:
         return np.array(values, np.uint32, order="C")
@@ -94,7 +99,7 @@ def to_storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
     if lost.any():
         y, x = np.argwhere(lost)[0]
         raise SceneError(
-            f"channel '{name}' at pixel ({window[0] + x}, {window[1] + y}): "
+            f"channel '{name}' at pixel ({corner[0] + x}, {corner[1] + y}): "
             f"{float(values[y, x])!r} is beyond float32 (largest {np.finfo(np.float32).max:.9g})"
         )
     return narrow
@@ -134,6 +139,21 @@ def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
         raise UnreadableExr(
             f"{path}: parts of different sizes, expected layers of one image: pixels (x0, y0, x1, y1): part "
             f"{', '.join(shown)}; write one of them, or all with the same data window"
+        )
+
+
+BYTES_PER_VALUE = 8  # four in the library's array, and four in its copy
+
+
+def check_memory(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
+    """Raise UnreadableExr with the numbers for an image that does not fit into the memory that is left."""
+    x0, y0, x1, y1 = window_of(headers[0]["dataWindow"])
+    count = sum(len(each["channels"]) for each in headers)
+    needed, left = (x1 - x0) * (y1 - y0) * count * BYTES_PER_VALUE, available_bytes()
+    if needed > left:
+        raise UnreadableExr(
+            f"{path}: {x1 - x0} x {y1 - y0} pixels of {count} channels need {needed / 1e9:.1f} GB, and "
+            f"{left / 1e9:.1f} GB are left: render a crop, or fewer AOVs"
         )
 
 

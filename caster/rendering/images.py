@@ -1,7 +1,7 @@
 """Films of a scene: its AOVs as images."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from caster.geometry.packing import Packed, packed
 from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
+from caster.kernels.raster.tile import BOX, HEIGHT, generate_camera_rays, kind_numbers, tile_rows
 from caster.kernels.surface.per_hit import store_hits
 from caster.rendering.bvh_construction import uses_bvh
 from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_nearest
@@ -60,9 +60,34 @@ class RenderResult:
     packed: Packed
     aovs: Aovs
     plan: Plan
+    hits: int
     decided_exactly: int  # pixels whose answer had to be found exactly
     shadow_rays: int
-    on_film: tuple[int, ...] | None  # primitives of each kind that some pixel was tested for; None: no such list
+    on_film: tuple[np.ndarray, ...]  # of each kind, (n,) bool: tested for some pixel; () where nothing is rasterized
+
+
+# Pixels of a film that are rendered, and written, at a time: more take more memory, and fewer more time, in which
+# primitives are sorted into tiles once for each band.
+BAND_PIXELS = 1 << 21
+
+
+def render_bands(
+    scene: Scene, aovs: Sequence[str], *, threads: int | None = None, on_progress: OnProgress = None
+) -> Iterator[RenderResult]:
+    """Render the film in bands of whole tiles, from the top; each result has the counts of all bands so far."""
+    before: RenderResult | None = None
+    for band in scene.bands(BAND_PIXELS, HEIGHT):
+        found = render_film(band, aovs, threads=threads, on_progress=on_progress)
+        if before is not None:
+            found = replace(
+                found,
+                hits=before.hits + found.hits,
+                decided_exactly=before.decided_exactly + found.decided_exactly,
+                shadow_rays=before.shadow_rays + found.shadow_rays,
+                on_film=tuple(map(np.logical_or, before.on_film, found.on_film)),
+            )
+        before = replace(found, scene=scene)
+        yield before
 
 
 def render_film(
@@ -116,8 +141,9 @@ def render_film(
         for name, values in hits.evaluate(tuple(images)).items():
             with np.errstate(over="ignore", under="ignore"):
                 images[name].reshape(uncertain.size, *images[name].shape[2:])[pixels] = values
-    on_film = None if binned is None else tuple(it.binned for it in binned)
-    return RenderResult(scene, arrays, Aovs(images, hit), planned, len(pixels), shader.shadow_rays, on_film)
+    on_film = () if binned is None else tuple(it.on_film for it in binned)
+    counts = int(hit.sum()), len(pixels), shader.shadow_rays
+    return RenderResult(scene, arrays, Aovs(images, hit), planned, *counts, on_film)
 
 
 def _farthest_origin(camera: Any, window: Window) -> float:

@@ -37,9 +37,14 @@ class BinnedKind:
     kind: Kind
     bounds: ScreenBounds
     base: int  # place of its first primitive, counted kind by kind
-    binned: int  # primitives in any tile
     runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
+
+    @property
+    def on_film(self) -> np.ndarray:
+        """(n,) bool: the primitives of any tile."""
+        x_start, y_start, x_stop, y_stop = self.bounds.pixels.T
+        return (x_start < x_stop) & (y_start < y_stop)
 
 
 def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool) -> Iterator[Command]:
@@ -126,11 +131,11 @@ def _bin_into_tiles(
     about = bounds.pixels, bits, last, queue.astype(np.int32), across
     workers = max(1, min(thread_count(threads), number // PARALLEL_MIN_PRIMITIVES))
     parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
-    counts, binned = np.zeros((workers, across * down * DEPTH_BUCKETS), np.int64), [0] * workers
+    counts = np.zeros((workers, across * down * DEPTH_BUCKETS), np.int64)
 
     def work(ends: np.ndarray, order: np.ndarray, part: tuple[int, int, int]) -> None:
         i, start, stop = part
-        binned[i] = bin_into_tiles(*about, ends[i], order, start, stop)
+        bin_into_tiles(*about, ends[i], order, start, stop)
 
     parallel_for_pieces(lambda: partial(work, counts, np.empty(0, np.int32)), parts, workers)
     # in each depth bucket of each tile, what the first part has comes first: the same order for any number of threads
@@ -139,4 +144,4 @@ def _bin_into_tiles(
     order = np.empty(ends[-1, -1], np.int32)
     runs = np.append(starts[0, ::DEPTH_BUCKETS], len(order))
     parallel_for_pieces(lambda: partial(work, starts, order), parts, workers)
-    return BinnedKind(kind, bounds, base, sum(binned), runs, order)
+    return BinnedKind(kind, bounds, base, runs, order)

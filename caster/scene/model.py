@@ -355,6 +355,13 @@ class Scene(Description):
         )
         return self._seen_anew(film=film if crop is None else film.cropped(crop))
 
+    def bands(self, pixels: int, step: int = 1) -> Iterator[Self]:
+        """The scene with each band of its film: a multiple of `step` rows, about `pixels` pixels."""
+        x0, y0, x1, y1 = self.film.window
+        rows = max(1, pixels // ((x1 - x0) * step)) * step
+        for y in range(y0, y1, rows):
+            yield self.with_film(crop=(x0, y, x1, min(y + rows, y1)))
+
     def with_camera(self, camera: Camera | Ray | None = None, **changes: Any) -> Self:
         """A copy with another camera, or with other fields of its own one: `scene.with_camera(eye=(0, 0, 9))`."""
         view: Any = self.camera if camera is None else camera

@@ -26,8 +26,6 @@ __all__ = [
     "write_text",
 ]
 
-WRITE_ERRNOS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
-
 
 class OutputError(SceneError):
     """A file that cannot be written; no partial file is left behind."""
@@ -72,7 +70,7 @@ def append_text(path: str | os.PathLike[str], text: str) -> None:
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file beside `path`, renamed to it if the body succeeds and removed if it fails.
 
-    Any exception of the body becomes an OutputError; an existing file of that name is then unchanged.
+    An OSError of the body becomes an OutputError. After any exception an existing file of that name is unchanged.
     """
     target = _resolved_target(path)
     with _os_errors_as_output_errors(target), _temporary_file(target) as temporary:
@@ -146,13 +144,8 @@ def locked(folder: Path) -> Iterator[bool]:
 def _os_errors_as_output_errors(target: Path) -> Iterator[None]:
     try:
         yield
-    except Exception as e:  # the EXR library raises various types
-        raise OutputError(f"{target}: cannot write: {_reason(e, target)}") from e
-
-
-def _reason(e: Exception, target: Path) -> str:
-    if isinstance(e, OSError) and e.strerror:
-        return f"{e.strerror} (folder {target.parent})"
-    known = [os.strerror(code) for code in WRITE_ERRNOS if os.strerror(code) in str(e)]
-    free = shutil.disk_usage(target.parent).free // 2**20
-    return f"{known[0] if known else 'the EXR library failed while writing'} ({free} MiB free in {target.parent})"
+    except OSError as e:
+        where = f"folder {target.parent}"
+        if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            where = f"{shutil.disk_usage(target.parent).free // 2**20} MiB free in {target.parent}"
+        raise OutputError(f"{target}: cannot write: {e.strerror or e} ({where})") from e

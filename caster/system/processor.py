@@ -1,4 +1,4 @@
-"""The processor, as far as Mitsuba's last bits depend on it.
+"""The memory that is left, and the processor, as far as Mitsuba's last bits depend on it.
 
 Embree and Dr.Jit take reciprocals from tables (rcpps, rsqrtps, rcp14) that differ between vendors and models, by code
 that they choose by the features of the processor. Mitsuba's results are therefore stored with its name.
@@ -8,9 +8,10 @@ import platform
 from functools import cache
 from pathlib import Path
 
-__all__ = ["description"]
+__all__ = ["available_bytes", "description"]
 
 CPUINFO = Path("/proc/cpuinfo")
+CGROUP_LIMIT, CGROUP_USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
 
 # Best first, by Linux's flag names. AVX without AVX2 is no official level, but Embree has code of its own for it.
 LEVELS = {
@@ -45,3 +46,20 @@ def described(cpuinfo: str, machine: str) -> str:
     if "CPU implementer" in found:
         return f"{machine} implementer {found['CPU implementer']} part {found.get('CPU part')}"
     return f"{machine}, unknown model"
+
+
+def available_bytes() -> float:
+    """The least of the machine's available memory and of the control group's; inf if neither is known."""
+    lines = (line.split() for line in _text(Path("/proc/meminfo")).splitlines())
+    left = [int(words[1]) * 1024.0 for words in lines if words[:1] == ["MemAvailable:"]]
+    limit, used = _text(CGROUP_LIMIT).strip(), _text(CGROUP_USED).strip()
+    if limit.isdecimal() and used.isdecimal():
+        left.append(max(float(limit) - float(used), 0.0))
+    return min(left, default=float("inf"))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text()
+    except OSError:
+        return ""

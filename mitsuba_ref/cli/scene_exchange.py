@@ -43,7 +43,7 @@ def run_render(args: argparse.Namespace) -> int:
         print(folded(f"{args.scene}: {crash}"))
         return DIFFERENCES
     more = {f"caster/reference/{name}": version for name, version in versions.items()}
-    write_render(args.output, scene, images, args.scene, more)
+    write_render(args.output, scene, [images], args.scene, more)
     height, width = images.hit.shape
     print(f"{args.output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(names)}")
     print(folded(", ".join(f"{name} {version}" for name, version in versions.items())))

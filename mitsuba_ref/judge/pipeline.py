@@ -87,8 +87,7 @@ def bands_of(scene: Scene) -> list[Scene]:
     x0, y0, x1, y1 = scene.film.window
     if (x1 - x0) * (y1 - y0) <= LARGEST_WHOLE_FILM:
         return [scene]
-    rows = max(1, BAND_PIXELS // (x1 - x0))
-    return [scene.with_film(crop=(x0, y, x1, min(y + rows, y1))) for y in range(y0, y1, rows)]
+    return list(scene.bands(BAND_PIXELS))
 
 
 def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:

@@ -8,6 +8,7 @@ from textwrap import shorten
 from caster.description.errors import SceneError
 from caster.rendering.warm_up import compile_for, warm_decisions
 from caster.scene.model import Scene
+from caster.system.processor import available_bytes
 from mitsuba_ref.judge.aggregate import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.checks.render import check_render
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
@@ -123,7 +124,6 @@ def _cast_as_judged(scene: Scene) -> None:
 # of both sides, bounds and classes, in float64. 1040 bytes (parabolic), 1280 (cornell-box), 1430 (every-shape) and 1440
 # (one-sphere) with one or two lights, 2020 with four (lights-and-shadows).
 BYTES_PER_PIXEL, BYTES_PER_PIXEL_AND_LIGHT, LIGHTS_WITHIN = 1450, 290, 2
-CGROUP_LIMIT, CGROUP_USED = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
 
 
 def check_memory(scene: Scene) -> None:
@@ -136,20 +136,3 @@ def check_memory(scene: Scene) -> None:
             f"film: {x1 - x0} x {y1 - y0} pixels need some {needed / 1e9:.1f} GB ({bytes_each} bytes each), and "
             f"{left / 1e9:.1f} GB are left: judge a crop or a smaller film, or fewer scenes at a time"
         )
-
-
-def available_bytes() -> float:
-    """The least of the machine's available memory and of the control group's; inf if neither is known."""
-    lines = (line.split() for line in _text(Path("/proc/meminfo")).splitlines())
-    left = [int(words[1]) * 1024.0 for words in lines if words[:1] == ["MemAvailable:"]]
-    limit, used = _text(CGROUP_LIMIT).strip(), _text(CGROUP_USED).strip()
-    if limit.isdecimal() and used.isdecimal():
-        left.append(max(float(limit) - float(used), 0.0))
-    return min(left, default=float("inf"))
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text()
-    except OSError:
-        return ""

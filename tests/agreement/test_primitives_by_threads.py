@@ -83,7 +83,7 @@ def scene(monkeypatch) -> Scene:
 def binned(scene: Scene, number: int) -> BinnedKind:
     """The triangles of the scene in tiles, by so many threads."""
     (found,) = bin_kinds(packed(scene), scene.camera.pack(300, 70), film_window(scene), 2.1, threads=number)
-    assert len(found.runs) > 3 and 0 < found.binned < 320
+    assert len(found.runs) > 3 and 0 < found.on_film.sum() < 320
     return found
 
 

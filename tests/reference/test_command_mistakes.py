@@ -148,7 +148,7 @@ def folder(tmp_path, monkeypatch):
     np.save("hits.npy", np.ones((1, 1)))
     for name, size in (("a.exr", (16, 12)), ("small.exr", (8, 6))):
         scene = caster.load_scene("scene.toml").with_film(width=size[0], height=size[1])
-        write_render(name, scene, caster.render(scene, ("depth",)), "scene.toml")
+        write_render(name, scene, [caster.render(scene, ("depth",))], "scene.toml")
     return tmp_path
 
 

@@ -46,7 +46,7 @@ def folder(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE)
     (tmp_path / "mine.py").write_text(MINE)
     scene = caster.load_scene(tmp_path / "scene.toml")
-    write_render(str(tmp_path / "ours.exr"), scene, caster.render(scene, ("depth",)), "scene.toml")
+    write_render(str(tmp_path / "ours.exr"), scene, [caster.render(scene, ("depth",))], "scene.toml")
     return tmp_path
 
 

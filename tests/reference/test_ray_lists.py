@@ -357,7 +357,7 @@ def test_an_image_of_geometry_that_float32_rounds_is_judged_by_both(tmp_path, ch
     path = tmp_path / "scene.toml"
     path.write_text(TORUS)
     scene = caster.load_scene(path)
-    write_render(str(tmp_path / "out.exr"), scene, caster.render(scene, ("hit", "depth", "normal")), "scene.toml")
+    write_render(str(tmp_path / "out.exr"), scene, [caster.render(scene, ("hit", "depth", "normal"))], "scene.toml")
     image = read_exr(tmp_path / "out.exr")
     code, scenes = judged_exr(tmp_path, image, change)
     assert code == (0 if passes else 1) and scenes[0]["hit_pixels"] > 75

@@ -4,7 +4,6 @@ import os
 import resource
 import signal
 import struct
-from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -12,7 +11,7 @@ import pytest
 
 from caster.description.errors import FileMissing, SceneError
 from caster.image import exr
-from caster.image.exr import OutputError, UnreadableExr, read_exr, write_exr
+from caster.image.exr import OutputError, UnreadableExr, read_exr, write_bands, write_exr
 
 SHAPE = (5, 7)
 
@@ -55,15 +54,18 @@ def test_memory_layout_never_reaches_the_file(tmp_path, view):
     assert_same_bits(np.array(before, kind), read_exr(tmp_path / "a.exr").channels["Z"])
 
 
-def test_the_header_is_single_part_zip_scanline_without_a_name(tmp_path):
+def test_the_header_is_single_part_zip_tiles_without_a_name(tmp_path):
     write_exr(tmp_path / "a.exr", {"Z": ramp(), "id.prim": np.zeros(SHAPE, np.uint32)})
     data = (tmp_path / "a.exr").read_bytes()
-    assert struct.unpack("<II", data[:8]) == (20000630, 2)  # version 2 and no flag: neither tiled, deep nor parts
+    assert struct.unpack("<II", data[:8]) == (
+        20000630,
+        0x602,
+    )  # version 2, tiled, with long names; neither deep nor parts
     header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
     assert "name" not in header and "capDate" not in header
     assert header["compression"] == OpenEXR.ZIP_COMPRESSION
     assert header["lineOrder"] == OpenEXR.INCREASING_Y
-    assert header["type"] == OpenEXR.scanlineimage
+    assert header["type"] == OpenEXR.tiledimage
 
 
 def test_provenance_lives_under_caster(tmp_path):
@@ -103,6 +105,7 @@ def test_a_crop_is_stored_as_inclusive_boxes_and_comes_back(tmp_path):
         ({"Z": np.zeros((2, 2))}, {"data_window": (0, 0, 3, 2)}, ["(0, 0, 3, 2)", "2 x 2"]),
         ({"Z": np.zeros((2, 2))}, {"data_window": (2, 0, 0, 2)}, ["data_window", "(2, 0, 0, 2)"]),
         ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 0, 2)}, ["display_window"]),
+        ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 2, 2**31)}, ["display_window", "2^30"]),
     ],
 )
 def test_what_an_exr_cannot_hold_is_an_error_that_states_it(tmp_path, channels, options, words):
@@ -131,49 +134,43 @@ def test_a_device_or_folder_is_never_replaced(tmp_path, monkeypatch, target):
     assert not os.path.isfile(target)
 
 
-class FailingFile:
-    """Stands for OpenEXR.File: its write stops half-way."""
-
-    error: BaseException
-
-    def __init__(self, *_):
-        pass
-
-    def write(self, path):
-        Path(path).write_bytes(b"half an image")
-        raise self.error
-
-
 @pytest.mark.parametrize(
     ("error", "raised"),
     [
-        (RuntimeError("Failed to write pixel data. No space left on device."), OutputError),
         (OSError(28, "No space left on device"), OutputError),
-        (ValueError("odd"), OutputError),
-        (MemoryError(), OutputError),
+        (SceneError("odd"), SceneError),
+        (MemoryError(), MemoryError),
         (KeyboardInterrupt(), KeyboardInterrupt),
         (SystemExit(1), SystemExit),
     ],
 )
 @pytest.mark.parametrize("older", [None, b"an older image"])
-def test_a_write_that_stops_half_way_leaves_what_was_there(tmp_path, monkeypatch, error, raised, older):
+def test_a_write_that_stops_half_way_leaves_what_was_there(tmp_path, error, raised, older):
     target = tmp_path / "out.exr"
     if older is not None:
         target.write_bytes(older)
-    monkeypatch.setattr(FailingFile, "error", error, raising=False)
-    monkeypatch.setattr(OpenEXR, "File", FailingFile)
-    with pytest.raises(raised):
-        write_exr(target, {"Z": ramp()})
+
+    def bands():
+        yield {"Z": np.zeros((exr.TILE, 7))}
+        raise error
+
+    with pytest.raises(raised) as caught:
+        write_bands(target, bands(), {}, (0, 0, 7, 100), (0, 0, 7, 100), 2)
+    assert type(caught.value) is raised
     assert [path.name for path in tmp_path.iterdir()] == ([] if older is None else ["out.exr"])
     assert older is None or target.read_bytes() == older
 
 
-def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
-    """A limit on the file size stands for the disk: the library's own write fails half-way."""
+@pytest.mark.parametrize("missing", [1, 200_000])
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, missing):
+    """A limit on the file size stands for the disk: a write fails, the last one or one half-way."""
     noise = np.random.default_rng(0).random((256, 256)).astype(np.float32)
+    write_exr(tmp_path / "out.exr", {"Z": noise})
+    size = (tmp_path / "out.exr").stat().st_size
+    (tmp_path / "out.exr").unlink()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size - missing, limits[1]))
     try:
         with pytest.raises(OutputError, match=r"out\.exr: cannot write: File too large \(\d+ MiB free"):
             write_exr(tmp_path / "out.exr", {"Z": noise})
@@ -236,21 +233,51 @@ def test_every_truncation_is_unreadable_and_nothing_is_printed(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def numbers(rows: int) -> dict[str, np.ndarray]:
+# ---- tiles ----
+
+
+def numbers(rows: int, columns: int) -> dict[str, np.ndarray]:
+    """Channels that compress well, badly, and not at all."""
     rng = np.random.default_rng(rows)
-    depth, prim = rng.random((rows, 40)).astype(np.float32), rng.integers(9, size=(rows, 40))
-    return {"depth.Z": depth, "id.prim": prim.astype(np.uint32)}
+    y, x = np.ogrid[:rows, :columns]
+    noise = rng.integers(2**32, size=(rows, columns), dtype=np.uint64)
+    return {
+        "depth.Z": np.sqrt(x * x + y * y, dtype=np.float32),
+        "R": rng.random((rows, columns)).astype(np.float32),
+        "id.prim": (x // 9 + 100 * (y // 7)).astype(np.uint32),
+        "a name longer than 31 bytes, such as this": noise.astype(np.uint32),
+    }
 
 
-@pytest.mark.parametrize("rows", [1, 16, 33, 100])
-def test_threads_change_no_byte_and_a_file_cut_off_is_detected(tmp_path, rows):
-    """Threads stay no longer than the file is written."""
-    one, three = tmp_path / "1.exr", tmp_path / "3.exr"
-    write_exr(one, numbers(rows))
-    write_exr(three, numbers(rows), threads=3)
-    assert one.read_bytes() == three.read_bytes() and OpenEXR.global_thread_count() == 0
-    assert all(np.array_equal(read_exr(one).channels[name], values) for name, values in numbers(rows).items())
-    exr._check_complete(one, -(-rows // exr.CHUNK_ROWS))
-    one.write_bytes(one.read_bytes()[:-1])
-    with pytest.raises(OSError, match="not written to its end"):
-        exr._check_complete(one, -(-rows // exr.CHUNK_ROWS))
+SIZES = [(1, 1), (exr.TILE, exr.TILE), (exr.TILE + 1, exr.TILE - 1), (200, 150)]
+
+
+@pytest.mark.parametrize(("rows", "columns"), SIZES)
+@pytest.mark.parametrize("name", ["depth.Z", "a name longer than 31 bytes, such as this"])
+def test_the_library_reads_each_tile_where_it_belongs(tmp_path, rows, columns, name):
+    """Alone, noise is stored as it is."""
+    expected = numbers(rows, columns)
+    for channels in (expected, {name: expected[name]}):
+        write_exr(tmp_path / "a.exr", channels, data_window=(-3, 5, columns - 3, rows + 5))
+        with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+            assert file.header()["tiles"].xSize == file.header()["tiles"].ySize == exr.TILE
+            assert np.array(file.header()["dataWindow"]).tolist() == [[-3, 5], [columns - 4, rows + 4]]
+            assert file.channels().keys() == channels.keys()
+            for each, channel in file.channels().items():
+                assert_same_bits(channels[each], channel.pixels)
+
+
+@pytest.mark.parametrize(("rows", "columns"), SIZES)
+@pytest.mark.parametrize("step", [exr.TILE, 2 * exr.TILE])
+def test_neither_bands_nor_threads_change_a_byte(tmp_path, rows, columns, step):
+    channels, window = numbers(rows, columns), (2, 1, columns + 2, rows + 1)
+    write_exr(tmp_path / "whole.exr", channels, {"a": "b"}, data_window=window, display_window=(0, 0, 300, 300))
+    bands = [{name: values[y : y + step] for name, values in channels.items()} for y in range(0, rows, step)]
+    write_bands(tmp_path / "bands.exr", iter(bands), {"a": "b"}, window, (0, 0, 300, 300), 3)
+    assert (tmp_path / "whole.exr").read_bytes() == (tmp_path / "bands.exr").read_bytes()
+
+
+def test_an_image_without_its_last_rows_is_no_file(tmp_path):
+    with pytest.raises(ValueError, match="64 of 65 rows"):
+        write_bands(tmp_path / "a.exr", [{"Z": np.zeros((64, 9))}], {}, (0, 0, 9, 65), (0, 0, 9, 65), 1)
+    assert list(tmp_path.iterdir()) == []

@@ -218,18 +218,16 @@ def depth_bucket(bits: int, last: int) -> int:
 @jit
 def bin_into_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
-) -> int:
+) -> None:
     """Append primitives queue[start:stop] to the list of each tile that they overlap, by depth bucket.
 
     The list of tile n and a bucket ends at order[ends[n * DEPTH_BUCKETS + bucket]]. With an empty `order` primitives
     are only counted, in `ends`. Tiles are numbered row by row, `across` in a row. An empty queue stands for all
-    primitives in their own order. Returns the number of primitives on the film.
+    primitives in their own order.
     """
-    binned = 0
     for prim_number in range(start, stop):
         k = queue[prim_number] if len(queue) > 0 else prim_number
         if (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3]):
-            binned += 1
             into = depth_bucket(bits[k], last)
             for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
@@ -237,7 +235,6 @@ def bin_into_tiles(
                     if len(order) > 0:
                         order[ends[n]] = k
                     ends[n] += 1
-    return binned
 
 
 # Surfaces of many hits at once: SURFACE_LANES pixels of a tile, in a scratch that stays in a core's first-level cache.
