@@ -53,6 +53,7 @@ FLOW = {
     "mitsuba_ref.runner": "many scenes, shards, pytest",
     "mitsuba_ref.fuzz": "random scenes",
     "mitsuba_ref.stress": "hard numerics, in steps",
+    "mitsuba_ref.campaign": "many units, with a history",
     "mitsuba_ref.bench": "speed",
     "mitsuba_ref.cli": "mitsuba-ref COMMAND",
 }

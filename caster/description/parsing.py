@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from caster.description.errors import DataPath, Diagnostic, FileMissing, SceneError, error_prefix
 
-__all__ = ["Span", "format_excerpt", "list_errors", "located_error", "parse"]
+__all__ = ["Positions", "Span", "format_excerpt", "list_errors", "located_error", "parse"]
 
 Error = TypeVar("Error")
 

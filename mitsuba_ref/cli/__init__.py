@@ -120,6 +120,16 @@ COMMANDS = (
         "run_stress",
         starts_with="loading the judge",
     ),
+    Command(
+        "campaign",
+        "run scenes, random films, fuzz and stress by a file, continue where a run stopped, report what is new",
+        "mitsuba_ref.campaign.run",
+        "run",
+        "add_campaign_arguments",
+        "loading the judge",
+        f"{_HERE}.arguments",
+        "mitsuba-ref campaign nightly.toml --html nightly.html",
+    ),
     _command(
         "bench",
         "run time against error: our caster beside Mitsuba and others, in alternating processes",

@@ -514,6 +514,21 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
 
 
+def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
+    add = adder(parser)
+    help_ = "a campaign file (mitsuba-ref docs campaign), which is run or continued; or a history, which is reported"
+    add("file", InputPath, help_, metavar="CAMPAIGN.toml|HISTORY.sqlite")
+    help_ = "where results are kept; default: NAME.history.sqlite beside the campaign file"
+    add("--history", OutputFile, help_)
+    add("--unit", str, "run this unit alone, in this process, and keep nothing", metavar="NAME")
+    add("--strict", bool, "fail by every failure, not only by those that are new since the last run")
+    add_workers(add, "units")
+    add_engine(add)
+    add_json(parser)
+    add("--html", OutputFile, "write the report as a page")
+    add_reference(parser)
+
+
 def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add_item_selection(parser, "family", "such as tangency, or watertight for both; default: all")
     add = adder(parser)

@@ -112,12 +112,14 @@ RESULTS = {
     "bench": "mitsuba_ref.bench.result:Run",
     "versions": "mitsuba_ref.runner.version_comparison:VersionComparison",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
+    "campaign": "mitsuba_ref.campaign.report:CampaignReport",
     "fuzz": "mitsuba_ref.fuzz.findings:Outcome",
 }
 
 
 def add_schema_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("result", choices=RESULTS, help="whose --json the schema describes")
+    help_ = f"whose --json the schema describes: {', '.join(RESULTS)}"
+    parser.add_argument("result", choices=RESULTS, help=help_, metavar="RESULT")
 
 
 def run_schema(args: argparse.Namespace) -> int:

@@ -11,6 +11,8 @@ from mitsuba_ref import cameras
 from mitsuba_ref.hard import rays
 from mitsuba_ref.hard.family import Family, Fields, HardScene, plain, scene_of
 from mitsuba_ref.hard.random_parts import (
+    LIGHT_FIELDS,
+    SPECULAR,
     log_uniform,
     matrix_step,
     random_frame,
@@ -216,6 +218,16 @@ def of_few_kinds(rng: Rng, frame: Frame) -> Shapes:
     return random_shapes(rng, frame, kinds, 4)
 
 
+def furnished(rng: Rng, frame: Frame, data: Fields) -> Fields:
+    """The scene in a closed room, with lights and materials: two fifths of the shapes are mirrors or glass."""
+    materials: Fields = {"plain": {"reflectance": rng.random(3), "two_sided": True}, **SPECULAR}
+    shares = [0.6, *[0.4 / len(SPECULAR)] * len(SPECULAR)]
+    shapes = [shape | {"material": str(rng.choice(list(materials), p=shares))} for shape in data["shape"]]
+    walls = {"type": "cube", "to_world": [{"scale": 12.0 * frame.size}, {"translate": frame.center}]}
+    lights = [{"type": kind, **LIGHT_FIELDS[kind](rng, frame)} for kind in ("point", "directional")]
+    return data | {"shape": [*shapes, walls | {"material": "plain"}], "light": lights, "material": materials}
+
+
 # Products of three lengths stay below 2^1024 and, where they are not cancelled by 2^120, above 2^-1022. Faces with a
 # vertex beyond 2^60.6 are rejected (caster.geometry.world_space.LARGEST_COORDINATE), and shapes have some sizes.
 MAX_EXPONENT, LARGEST_EXPONENT_OF_FACES = 300, 55
@@ -310,4 +322,15 @@ RANDOM: tuple[Family, ...] = (
         finish=with_options,
         always_judged=True,
     ),
+)
+
+# For campaigns, which choose the film; `fuzz`, whose examples are small, leaves it out.
+FILMS = random_family(
+    "furnished",
+    "shapes of ordinary size in a lit room, some of them mirrors or glass",
+    lambda rng: Frame(condition=10.0),
+    shapes_of("bounded", 12),
+    cameras=("pinhole", "orthographic", "fisheye", "panorama"),
+    films=((224, 224),),
+    finish=furnished,
 )

@@ -124,7 +124,9 @@ def write_reproducers(
     is_list = judge.pair.rays.is_list
     if not (judge.names_prims or is_list):
         return (), 0
-    groups = {what: rows.tolist() for what, rows in seen.diagnosis.rows_of.items()} if is_list else _by_case(judgement)
+    groups = (
+        {what: rows.tolist() for what, rows in seen.diagnosis.rows_of.items()} if is_list else rows_by_case(judgement)
+    )
     for label, rows in groups.items():
         for row in [row for row in rows if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]:
             x, y = pixel_of(judge.scene, row)
@@ -147,7 +149,7 @@ def write_reproducers(
     return tuple(files), left_out
 
 
-def _by_case(judgement: Judgement) -> dict[str, list[int]]:
+def rows_by_case(judgement: Judgement) -> dict[str, list[int]]:
     """Pixels where the reference or ours is wrong by the label of their files, worst first."""
     found: dict[str, list[int]] = {}
     worst = np.max([judgement.excess(check) for check in judgement.ratios], axis=0)

@@ -89,6 +89,14 @@ VERTICES = [(-1.0, -1.0, 0.0), (1.0, -1.0, 0.1), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.
 KEPT = """# Found by mitsuba-ref fuzz --seed 0 --examples 41..41: there is a hit by exact arithmetic, ours is a miss.
 # fuzz: missed t_min=0.0 t_max=inf
 """
+CAMPAIGN = """seeds = [1]
+
+[[job]]
+type = "fuzz"
+families = ["edges"]
+examples = 1
+judge_every = 0
+"""
 COPY = "sh -c 'cp in/answer{0} $0' {{{1}}}"  # a candidate that answers with a file
 
 
@@ -184,6 +192,8 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref approve in/scene.toml --references in/references",
     ),
     "out/references/scene.exr": read_by("mitsuba-ref approve in/scene.toml --references out/references --yes"),
+    "in/campaign.toml": read_by("mitsuba-ref campaign FILE --history out/h.sqlite -j 1 --json out/c.json"),
+    "in/campaign.history.sqlite": read_by("mitsuba-ref campaign FILE --html out/c.html --json out/c.json"),
     "in/kept.toml": read_by("mitsuba-ref fuzz --replay FILE", "mitsuba-ref fuzz --replay in/kept"),
 }
 
@@ -214,6 +224,7 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
         "mitsuba.xml": MITSUBA,
         "mesh.obj": OBJ,
         "kept.toml": KEPT + HEAD + SPHERE,
+        "campaign.toml": CAMPAIGN,
     }
     shape = '[[shape]]\ntype = "mesh"\nname = "m{0}"\nfile = "{0}"\n'
     meshes = {"obj": "mesh.obj", "ascii": "ascii.ply", "little": "little.ply", "big": "big.ply"}
@@ -236,6 +247,7 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     succeed("mitsuba-ref approve in/scene.toml --references in/references --yes")
     succeed("mitsuba-ref validate in/scene.toml --out out")
     succeed("mitsuba-ref rays in/scene.toml -o in/rays.npz")
+    succeed("mitsuba-ref campaign in/campaign.toml")
     import caster
 
     scene = caster.load_scene(source / "scene.toml")

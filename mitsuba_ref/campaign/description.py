@@ -1,0 +1,137 @@
+"""Campaign files: what is judged, over which parameters and seeds, whose answers, and for how long."""
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from caster.description.errors import SceneError, diagnostics_of, suggestion
+from caster.description.fields import Count, Description, Index, Positive
+from caster.description.input_files import read_text
+from caster.description.parsing import Positions, located_error, parse
+from mitsuba_ref.fuzz.campaign import RAYS_PER_EXAMPLE
+from mitsuba_ref.hard import BY_NAME, FAMILIES
+from mitsuba_ref.hard.random_families import FILMS
+from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.subjects.subject import DEFAULT_SECONDS
+
+Size = tuple[Count, Count]  # width and height of a film, pixels
+Names = tuple[str, ...]
+
+
+class Budget(Description):
+    """Limits of a run; what is finished is kept, and the next run goes on."""
+
+    seconds: Positive | None = None  # of one call of the command
+    rays: Positive | None = None  # of the whole run, those found in the history included
+
+
+class Contender(Description):
+    """A subject: our caster, or a candidate as --candidate names it."""
+
+    name: str = "ours"
+    candidate: str | None = None
+    serve: bool = False  # the candidate is a program as for --candidate-serve
+    precision: Literal["float32", "float64"] | None = None
+    timeout: Positive = DEFAULT_SECONDS  # of a program, seconds
+    files: tuple[str, ...] = ()  # further files that its answers depend on
+
+    def words(self) -> tuple[str, ...]:
+        """Its options on a command line."""
+        if self.candidate is None:
+            return ()
+        precision = ("--candidate-precision", self.precision) if self.precision else ()
+        return ("--candidate-serve" if self.serve else "--candidate", self.candidate, *precision)
+
+
+class Job(Description):
+    """Units of one kind: every combination of its lists, for each seed and subject."""
+
+    KNOWN: ClassVar[tuple[str, ...]] = ()  # names of families
+
+    @field_validator("families", check_fields=False)
+    @classmethod
+    def _are_known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in cls.KNOWN:
+                hint = suggestion(name, cls.KNOWN)
+                raise ValueError(f"unknown family '{name}'{hint} (known: {', '.join(cls.KNOWN)})")
+        return names
+
+
+class SceneJob(Job):
+    """Scene files, judged as `validate` does; seeds play no part."""
+
+    type: Literal["scenes"] = "scenes"
+    scenes: Names  # files, folders, builtin:NAME, and builtin:SET or builtin:all
+    sizes: tuple[Size, ...] = ()  # of films; none: the scenes' own
+    bounces: Index = 0
+
+
+class FilmJob(Job):
+    """Films of random scenes, judged as `validate` does."""
+
+    KNOWN = (FILMS.name, *(family.name for family in FAMILIES if family.fits_float32))
+    type: Literal["films"] = "films"
+    families: Names = (FILMS.name,)
+    scenes: Count  # of each family and seed
+    sizes: tuple[Size, ...] = ((224, 224),)
+    bounces: Index = 0
+
+
+class FuzzJob(Job):
+    """Examples, checked as `fuzz` does."""
+
+    KNOWN = tuple(BY_NAME)
+    type: Literal["fuzz"] = "fuzz"
+    families: Names = tuple(BY_NAME)
+    examples: Count  # of each family and seed
+    rays: tuple[Count, ...] = (RAYS_PER_EXAMPLE,)  # of an example
+    judge_every: Index = 16
+
+
+class StressJob(Job):
+    """Settings of sweeps, scored as `stress` does."""
+
+    KNOWN = tuple(family.name for family in SWEPT)
+    type: Literal["stress"] = "stress"
+    families: Names = KNOWN
+    values: tuple[Positive, ...] = ()  # of the swept quantity; none: those of the family
+    rays: tuple[Count | None, ...] = (None,)  # of a setting; none: as `stress`
+
+
+AnyJob = Annotated[SceneJob | FilmJob | FuzzJob | StressJob, Field(discriminator="type")]
+
+
+class Campaign(Description):
+    """A campaign file."""
+
+    ELEMENTS: ClassVar[dict[str, int]] = {"job": 2, "subject": 2, "budget": 1}
+
+    seeds: tuple[Index, ...] = (0,)
+    budget: Budget = Budget()
+    subjects: tuple[Contender, ...] = Field(default=(Contender(),), alias="subject")
+    jobs: tuple[AnyJob, ...] = Field(alias="job")
+
+    @model_validator(mode="after")
+    def _has_subjects_of_different_names(self) -> Self:
+        names = [subject.name for subject in self.subjects]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"needs subjects of different names, got '{twice[0]}' twice")
+        return self
+
+
+def read_campaign(path: str) -> tuple[Campaign, str]:
+    """A campaign file and its text. Raises FileMissing, or SceneError with every error and its line."""
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in ("toml", "json"):
+        raise SceneError(f"{path}: expected a campaign file, .toml or .json")
+    text = read_text(path, "campaign file")
+    try:
+        data = parse(text, kind, path)
+        return Campaign.model_validate(data), text
+    except ValidationError as error:
+        problems = diagnostics_of(error, data, Campaign)
+        raise located_error(problems, Positions(text, kind).of, text, path) from None
+    except RecursionError:
+        raise SceneError(f"{path}: not a campaign file: nested too deeply to be read") from None

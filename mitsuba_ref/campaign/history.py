@@ -1,0 +1,188 @@
+"""The history of a campaign: one SQLite file of runs, the units they have, and the failures of these."""
+
+import contextlib
+import json
+import sqlite3
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Self
+
+from caster.system.atomic_files import OutputError
+from mitsuba_ref.campaign.units import SUBJECT, Result, Unit
+from mitsuba_ref.reference.store import key_of
+
+APPLICATION, VERSION = 0x72617963, 1  # in the header of the file
+WAIT_SECONDS = 10.0  # for another process that writes
+RUNNING, COMPLETE, BUDGET, INTERRUPTED = "running", "complete", "budget", "interrupted"  # states of a run
+
+# A unit belongs to each run that has it under the same key; the first of them computed it. Types and conditions are
+# checked when a file is opened.
+SCHEMA = f"""
+CREATE TABLE runs (
+    id INTEGER PRIMARY KEY, identity TEXT NOT NULL, state TEXT NOT NULL, started TEXT NOT NULL, ended TEXT,
+    code TEXT NOT NULL, git TEXT NOT NULL, machine TEXT NOT NULL CHECK (json_type(machine) = 'object'),
+    campaign TEXT NOT NULL, units INTEGER NOT NULL
+) STRICT;
+CREATE TABLE units (
+    key TEXT PRIMARY KEY, name TEXT NOT NULL, kind TEXT NOT NULL, subject TEXT NOT NULL, grouped TEXT NOT NULL,
+    parameters TEXT NOT NULL, rays INTEGER NOT NULL, hits INTEGER NOT NULL, agree INTEGER NOT NULL,
+    counts TEXT NOT NULL CHECK (json_type(counts) = 'object'), failing INTEGER NOT NULL, seconds REAL NOT NULL,
+    processor TEXT NOT NULL, finished TEXT NOT NULL, computed_by INTEGER NOT NULL
+) STRICT;
+CREATE TABLE failures (
+    key TEXT NOT NULL, side TEXT NOT NULL, cause TEXT NOT NULL, what TEXT NOT NULL, times INTEGER NOT NULL,
+    replay TEXT NOT NULL, scene TEXT NOT NULL
+) STRICT;
+CREATE TABLE run_units (run INTEGER NOT NULL, key TEXT NOT NULL, PRIMARY KEY (run, key)) STRICT, WITHOUT ROWID;
+CREATE INDEX failures_of_unit ON failures (key);
+CREATE INDEX runs_of_unit ON run_units (key);
+PRAGMA application_id = {APPLICATION};
+PRAGMA user_version = {VERSION};
+"""
+
+
+class History:
+    """An open history. Every method may be called from any thread, and raises OutputError. Use it as a context."""
+
+    def __init__(self, path: str | Path, *, create: bool = False) -> None:
+        """create: make the file if there is none. Raises OutputError for a file that is no history, or damaged."""
+        self.path = Path(path)
+        self._lock = threading.Lock()
+        new = not self.path.exists()
+        if (new and not create) or not (new or self.path.is_file()):
+            raise OutputError(f"{path}: expected the history of a campaign, found no such file; a run writes it")
+        try:
+            self._open(create)
+        except OutputError:
+            if new:  # a full disk
+                self.path.unlink(missing_ok=True)
+            raise
+
+    def _open(self, create: bool) -> None:
+        with self._errors():
+            self.database = sqlite3.connect(
+                self.path, timeout=WAIT_SECONDS, check_same_thread=False, isolation_level=None
+            )
+            self.database.row_factory = sqlite3.Row
+            if create and not self.database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                self.database.executescript(f"BEGIN IMMEDIATE; {SCHEMA} COMMIT;")
+            names = ("application_id", "user_version")
+            if [self.database.execute(f"PRAGMA {name}").fetchone()[0] for name in names] != [APPLICATION, VERSION]:
+                what = f"expected the history of a campaign, of version {VERSION}; this is another database"
+                raise OutputError(f"{self.path}: {what}")
+            if (check := self.database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                raise sqlite3.DatabaseError(check)
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.OperationalError as error:  # a full disk, no permission, a lock
+            raise OutputError(f"{self.path}: cannot be used: {error}; what was finished before is kept") from error
+        except sqlite3.DatabaseError as error:
+            way_out = "move it away, and the next run begins a new one"
+            raise OutputError(
+                f"{self.path}: not a history of a campaign, or a damaged one: {error}; {way_out}"
+            ) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.database.close()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction: all of it is on the disk at the end, or nothing."""
+        with self._lock, self._errors():
+            self.database.execute("BEGIN IMMEDIATE")
+            try:
+                yield self.database
+                self.database.execute("COMMIT")
+            except BaseException:
+                with contextlib.suppress(sqlite3.Error):
+                    self.database.execute("ROLLBACK")
+                raise
+
+    def rows(self, query: str, *values: Any) -> list[dict[str, Any]]:
+        """The rows of a query, by column."""
+        with self._lock, self._errors():
+            return [dict(row) for row in self.database.execute(query, values)]
+
+    def units(self, run: int) -> list[dict[str, Any]]:
+        """The finished units of a run."""
+        return self.rows("SELECT units.* FROM run_units JOIN units USING (key) WHERE run = ? ORDER BY name", run)
+
+    def units_before(self, run: int) -> dict[str, dict[str, Any]]:
+        """By name, each unit as the last run before this one that finished it has it."""
+        query = (
+            "SELECT units.*, max(run) FROM run_units JOIN units USING (key) WHERE run < ? GROUP BY name ORDER BY name"
+        )
+        return {row["name"]: row for row in self.rows(query, run)}
+
+    # ---- a run ----
+
+    def begin(self, units: Iterable[Unit], about: Mapping[str, str]) -> tuple[int, set[str]]:
+        """The run with these units, and the keys of those that are finished.
+
+        The last run goes on if it is of the same units; else a new one begins. about: code, git, machine, campaign.
+        """
+        keys = sorted(unit.key for unit in units)
+        identity = key_of(keys)
+        with self._writing() as database:
+            last = database.execute("SELECT id, identity FROM runs ORDER BY id DESC LIMIT 1").fetchone()
+            if last and last["identity"] == identity:
+                run = int(last["id"])
+                database.execute("UPDATE runs SET state = ? WHERE id = ?", (RUNNING, run))
+            else:
+                values = (identity, RUNNING, now(), *(about[name] for name in ABOUT), len(keys))
+                names = ", ".join(ABOUT)
+                marks = ", ".join("?" * len(values))
+                inserted = database.execute(
+                    f"INSERT INTO runs (identity, state, started, {names}, units) VALUES ({marks})", values
+                )
+                run = int(inserted.lastrowid or 0)
+            known = {key for (key,) in database.execute("SELECT key FROM units")}
+            found = known.intersection(keys)
+            database.executemany("INSERT OR IGNORE INTO run_units VALUES (?, ?)", ((run, key) for key in found))
+        return run, found
+
+    def record(self, run: int, unit: Unit, result: Result) -> None:
+        """Add a finished unit."""
+        failing = sum(failure.side == SUBJECT for failure in result.failures)
+        numbers = (result.rays, result.hits, result.agree, json.dumps(dict(result.counts), sort_keys=True), failing)
+        parameters = json.dumps(unit.parameters)
+        row = (
+            unit.key,
+            unit.name,
+            unit.kind,
+            unit.subject.name,
+            unit.group,
+            parameters,
+            *numbers,
+            result.seconds,
+            result.processor,
+        )
+        with self._writing() as database:
+            marks = ", ".join("?" * (len(row) + 2))
+            added = database.execute(f"INSERT OR IGNORE INTO units VALUES ({marks})", (*row, now(), run))
+            if added.rowcount:  # else another run at the same time was earlier
+                database.executemany(
+                    "INSERT INTO failures VALUES (?, ?, ?, ?, ?, ?, ?)", ((unit.key, *each) for each in result.failures)
+                )
+            database.execute("INSERT OR IGNORE INTO run_units VALUES (?, ?)", (run, unit.key))
+
+    def end(self, run: int, state: str) -> None:
+        """Record how a run ended, for now."""
+        with self._writing() as database:
+            database.execute("UPDATE runs SET state = ?, ended = ? WHERE id = ?", (state, now(), run))
+
+
+ABOUT = ("code", "git", "machine", "campaign")
+
+
+def now() -> str:
+    """The time, in UTC."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

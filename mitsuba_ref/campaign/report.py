@@ -1,0 +1,291 @@
+"""The report of a campaign: what is new since the last run, trends over runs, and the reference's own defects."""
+
+import html
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import field, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import computed_field
+from pydantic.dataclasses import dataclass
+
+from caster.system.atomic_files import check_folder, write_text
+from mitsuba_ref.campaign.history import History
+from mitsuba_ref.campaign.units import REFERENCE, SCENE_PLACE, SUBJECT
+from mitsuba_ref.reference.store import key_of
+from mitsuba_ref.report.results import aligned, plural
+
+LISTED = 20  # of each list in text and on the page; the JSON has all
+FOLDER_SUFFIX = ".failures"  # of the folder of scenes, beside the history
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """One run, with what it found in the history."""
+
+    run: int
+    state: str
+    started: str
+    git: str
+    code: str
+    machine: dict[str, str]
+    requested: int  # units
+    units: int  # of them, finished
+    computed: int  # by this run, not by an earlier one
+    failing: int  # units
+    rays: int
+    hits: int
+    agree: int
+
+
+@dataclass(frozen=True)
+class ReportedFailure:
+    """Wrong answers of one kind in a unit, or in several."""
+
+    unit: str  # the first of them
+    group: str  # its subject, kind and family
+    cause: str
+    what: str
+    times: int
+    replay: str
+    units: int = 1
+
+
+@dataclass(frozen=True)
+class Change:
+    """A unit whose counts are not those of the last run that had it."""
+
+    unit: str
+    counts: dict[str, tuple[float, float]]  # before and now
+
+
+@dataclass(frozen=True)
+class TrendPoint:
+    """One subject and family in one run."""
+
+    run: int
+    units: int
+    failing: int
+    rays: int
+    rays_per_second: float
+
+
+@dataclass(frozen=True)
+class CampaignReport:
+    """The last run beside the earlier ones."""
+
+    history: str
+    runs: tuple[RunSummary, ...]
+    new: tuple[ReportedFailure, ...] = ()  # not in the last run that had the unit
+    standing: tuple[ReportedFailure, ...] = ()  # there, too
+    gone: tuple[ReportedFailure, ...] = ()  # there alone
+    changed: tuple[Change, ...] = ()
+    trends: dict[str, tuple[TrendPoint, ...]] = field(default_factory=dict)
+    defects: tuple[ReportedFailure, ...] = ()  # of the reference, each case once
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def ok(self) -> bool:
+        """Nothing is wrong that was not wrong in the last run."""
+        return not self.new
+
+
+def report_of(history: History) -> CampaignReport:
+    """The report on the last run. Writes the scenes of its replays beside the history. Raises OutputError."""
+    runs = tuple(_summary(history, row) for row in history.rows("SELECT * FROM runs ORDER BY id"))
+    if not runs:
+        return CampaignReport(str(history.path), ())
+    last = runs[-1].run
+    now = {row["name"]: row for row in history.units(last)}
+    before = {name: row for name, row in history.units_before(last).items() if name in now}
+    failures, earlier = (_failures(history, rows.values()) for rows in (now, before))
+    wrong = {place: each for place, each in failures.items() if each["side"] == SUBJECT}
+    was_wrong = {place: each for place, each in earlier.items() if each["side"] == SUBJECT}
+    cases: dict[str, list[dict[str, Any]]] = {}
+    for each in failures.values():
+        if each["side"] == REFERENCE:
+            cases.setdefault(each["cause"], []).append(each)
+    folder = history.path.with_suffix(FOLDER_SUFFIX)
+    return CampaignReport(
+        str(history.path),
+        runs,
+        tuple(_reported(each, folder) for place, each in wrong.items() if place not in was_wrong),
+        tuple(_reported(each, folder) for place, each in wrong.items() if place in was_wrong),
+        tuple(_reported(each) for place, each in was_wrong.items() if place not in wrong),
+        tuple(_changes(before, now)),
+        _trends(history),
+        tuple(_defect(found, folder) for _, found in sorted(cases.items())),
+    )
+
+
+def _summary(history: History, row: dict[str, Any]) -> RunSummary:
+    units = history.units(row["id"])
+    sums = (sum(each[name] for each in units) for name in ("rays", "hits", "agree"))
+    computed = sum(each["computed_by"] == row["id"] for each in units)
+    failing = sum(each["failing"] > 0 for each in units)
+    about = (row["id"], row["state"], row["started"], row["git"], row["code"], json.loads(row["machine"]), row["units"])
+    return RunSummary(*about, len(units), computed, failing, *sums)
+
+
+def _failures(history: History, units: Iterable[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:
+    """Failures by unit, side and cause: the first of each cause, with the number of all."""
+    keys = {row["key"] for row in units}
+    rows = history.rows(
+        "SELECT key, name, grouped, side, cause, what, replay, scene, sum(times) AS times, min(failures.rowid) AS row "
+        "FROM failures JOIN units USING (key) GROUP BY key, side, cause ORDER BY row"
+    )
+    return {(row["name"], row["side"], row["cause"]): row for row in rows if row["key"] in keys}
+
+
+def _reported(each: dict[str, Any], folder: Path | None = None) -> ReportedFailure:
+    replay = each["replay"]
+    if folder and each["scene"] and SCENE_PLACE in replay:
+        file = check_folder(folder) / f"{key_of([each['key'], each['cause']])[:12]}.toml"
+        write_text(file, each["scene"])
+        replay = replay.replace(SCENE_PLACE, str(file))
+    return ReportedFailure(each["name"], each["grouped"], each["cause"], each["what"], each["times"], replay)
+
+
+def _defect(found: list[dict[str, Any]], folder: Path) -> ReportedFailure:
+    """A case of the reference, with its smallest scene."""
+    smallest = min(found, key=lambda each: (not each["scene"], len(each["scene"]), each["name"]))
+    times = sum(each["times"] for each in found)
+    return replace(_reported(smallest, folder), times=times, units=len(found))
+
+
+NUMBERS = ("rays", "hits", "agree")
+
+
+def _changes(before: dict[str, dict[str, Any]], now: dict[str, dict[str, Any]]) -> Iterator[Change]:
+    for name, old in before.items():
+        counts = [{key: row[key] for key in NUMBERS} | json.loads(row["counts"]) for row in (old, now[name])]
+        names = dict.fromkeys([*counts[0], *counts[1]])
+        values = {key: (counts[0].get(key, 0), counts[1].get(key, 0)) for key in names}
+        if changed := {key: pair for key, pair in values.items() if pair[0] != pair[1]}:
+            yield Change(name, changed)
+
+
+def _trends(history: History) -> dict[str, tuple[TrendPoint, ...]]:
+    found: dict[str, tuple[TrendPoint, ...]] = {}
+    for row in history.rows(
+        "SELECT run_units.run, grouped, count(*) AS units, sum(failing > 0) AS failing, sum(rays) AS rays, "
+        "sum(seconds) AS seconds FROM run_units JOIN units USING (key) GROUP BY run_units.run, grouped"
+    ):
+        speed = round(row["rays"] / row["seconds"], 1) if row["seconds"] else 0.0
+        point = TrendPoint(row["run"], row["units"], row["failing"], row["rays"], speed)
+        found[row["grouped"]] = (*found.get(row["grouped"], ()), point)
+    return dict(sorted(found.items()))
+
+
+# ---- text ----
+
+
+def as_text(report: CampaignReport) -> str:
+    """What is new, then the trends, then the reference's wrong answers."""
+    if not report.runs:
+        return f"{report.history}: no run yet"
+    *changes, wrong = (f"\n{title}\n{text}" if text else "" for title, text in _sections(report))
+    table = aligned([TREND_COLUMNS, *_trend_rows(report)], left=1)
+    return "\n".join([summary(report), *filter(None, changes), "", *table, wrong])
+
+
+def summary(report: CampaignReport) -> str:
+    """The last run in a line."""
+    last = report.runs[-1]
+    numbers = f"{last.computed} computed by it, {last.rays} rays, {last.hits} hits"
+    failures = f"{last.failing} fail, {len(report.new)} new failures, {len(report.gone)} gone"
+    return f"run {last.run}, {last.state}: {last.units} of {plural(last.requested, 'unit')}, {numbers}; {failures}"
+
+
+def _sections(report: CampaignReport) -> Iterator[tuple[str, str]]:
+    """Title and text of each list."""
+    lists = {"new failures": report.new, "failures gone": report.gone, "failures as before": report.standing}
+    for title, failures in lists.items():
+        yield f"{title}: {len(failures)}", _first(map(_failure_text, merged(failures)))
+    yield f"changed counts: {len(report.changed)}", _first(map(_change_text, report.changed))
+    yield f"wrong answers of the reference: {len(report.defects)}", _first(map(_failure_text, report.defects))
+
+
+def _first(items: Iterable[str]) -> str:
+    listed = list(items)
+    more = [f"  and {len(listed) - LISTED} more, which --json has"] if len(listed) > LISTED else []
+    return "\n".join([*listed[:LISTED], *more])
+
+
+def merged(failures: Iterable[ReportedFailure]) -> list[ReportedFailure]:
+    """Failures of one subject, kind, family and cause as one, in the order of the first of each."""
+    found: dict[tuple[str, str], ReportedFailure] = {}
+    for each in failures:
+        first = found.setdefault((each.group, each.cause), replace(each, times=0, units=0))
+        found[each.group, each.cause] = replace(first, times=first.times + each.times, units=first.units + each.units)
+    return list(found.values())
+
+
+def _failure_text(each: ReportedFailure) -> str:
+    many = f" ({each.times} in {plural(each.units, 'unit')})" if each.times > 1 else ""
+    first, *_ = each.what.splitlines() or [""]
+    more = [first, f"replay: {each.replay}" if each.replay else ""]
+    return "\n      ".join([f"  {each.cause}{many}: {each.unit}", *filter(None, more)])
+
+
+def _change_text(change: Change) -> str:
+    return f"  {change.unit}: {', '.join(f'{name} {old:g} -> {new:g}' for name, (old, new) in change.counts.items())}"
+
+
+TREND_COLUMNS = ("subject, kind and family", "run", "units", "fail", "rays", "rays/s")
+
+
+def _trend_rows(report: CampaignReport) -> Iterator[tuple[str, ...]]:
+    for group, points in report.trends.items():
+        for each in points:
+            numbers = (each.run, each.units, each.failing, each.rays, round(each.rays_per_second))
+            yield group, *map(str, numbers)
+
+
+# ---- page ----
+
+STYLE = """body { font: 14px/1.45 system-ui, sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 18px; } h2 { font-size: 15px; margin-top: 2em; } pre { white-space: pre-wrap; }
+table { border-collapse: collapse; } td, th { padding: 3px 10px; text-align: right; border-bottom: 1px solid #8884; }
+td:first-child, th:first-child { text-align: left; } svg { display: block; }
+polyline { fill: none; stroke: currentColor; stroke-width: 1.5; } circle { fill: currentColor; }"""
+WIDTH, HEIGHT, MARGIN = 180, 36, 4  # of a plot, pixels
+
+
+def as_html(report: CampaignReport) -> str:
+    """A page that needs no other file."""
+    title = html.escape(f"Campaign {report.history}")
+    parts = [f"<title>{title}</title><style>{STYLE}</style><h1>{title}</h1>"]
+    if report.runs:
+        *changes, wrong = (f"<h2>{name}</h2><pre>{html.escape(text)}</pre>" for name, text in _sections(report))
+        parts += [f"<p>{html.escape(summary(report))}</p>", *changes, _trends_html(report), wrong]
+    return f"<!doctype html><html lang=en><meta charset=utf-8>{''.join(parts)}</html>\n"
+
+
+def _trends_html(report: CampaignReport) -> str:
+    head = ("subject, kind and family", "failing units", "", "rays/s", "", "units", "rays")
+    rows = []
+    for group, points in report.trends.items():
+        plots = []
+        for values in ([each.failing for each in points], [each.rays_per_second for each in points]):
+            plots += [f"{values[-1]:.0f}", _plot(values)]
+        cells = (html.escape(group), *plots, str(points[-1].units), str(points[-1].rays))
+        rows.append("".join(f"<td>{cell}</td>" for cell in cells))
+    heads = "".join(f"<th>{name}</th>" for name in head)
+    return (
+        f"<h2>trends over {plural(len(report.runs), 'run')}</h2><table><tr>{heads}</tr><tr>{'<tr>'.join(rows)}</table>"
+    )
+
+
+def _plot(values: Sequence[float]) -> str:
+    """A line over the runs, from zero up to the largest value."""
+    top, steps = max(values) or 1.0, max(1, len(values) - 1)
+    points = [
+        f"{MARGIN + (WIDTH - 2 * MARGIN) * i / steps:.1f},{HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * value / top:.1f}"
+        for i, value in enumerate(values)
+    ]
+    x, _, y = points[-1].partition(",")
+    words = ", ".join(f"{value:.0f}" for value in values)
+    line = f'<polyline points="{" ".join(points)}"/><circle cx="{x}" cy="{y}" r="2.5"/>'
+    return f'<svg width="{WIDTH}" height="{HEIGHT}" role="img" aria-label="{words}">{line}</svg>'

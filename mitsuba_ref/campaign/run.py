@@ -1,0 +1,143 @@
+"""`mitsuba-ref campaign`: runs the units that the history does not have yet, until they or the budget are used up."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Generator
+from contextlib import closing
+from pathlib import Path
+from typing import TextIO
+
+from caster.description.errors import SceneError, suggestion
+from caster.system.atomic_files import OutputError, write_text
+from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK, report_error
+from caster.system.terminal import ProgressBar
+from mitsuba_ref.campaign.description import Campaign, read_campaign
+from mitsuba_ref.campaign.history import BUDGET, COMPLETE, INTERRUPTED, History
+from mitsuba_ref.campaign.report import as_html, as_text, report_of
+from mitsuba_ref.campaign.units import SUBJECT, Result, SubjectError, Unit, ended, run_unit, units_of
+from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.store import machine
+from mitsuba_ref.report.html_report import commit
+from mitsuba_ref.report.results import STANDARD_OUTPUT, plural, print_lines, write_result
+from mitsuba_ref.runner.engine import opened
+from mitsuba_ref.runner.verdict_files import code_hash
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS
+
+
+class CampaignRun:
+    """Finishes units one after the other. The history has every finished one at any moment."""
+
+    def __init__(self, history: History, file: str, campaign: Campaign, text: str, units: list[Unit]) -> None:
+        """file: of the campaign, and its text. Raises OutputError."""
+        self.history, self.file, self.campaign, self.units = history, file, campaign, units
+        commit_here = commit(str(Path(file).parent))
+        about = {"code": code_hash(), "git": commit_here, "machine": json.dumps(machine()), "campaign": text}
+        self.number, self.found = history.begin(units, about)
+        self.waiting = [unit for unit in units if unit.key not in self.found]
+        self.computed = 0
+
+    def work(self, engine: str, workers: int | None) -> Generator[Result, None, None]:
+        """The result of each waiting unit, in their order. Raises SceneError for a subject that cannot be used."""
+        state, start, of_key = INTERRUPTED, time.monotonic(), {unit.key: unit for unit in self.waiting}
+        rays = sum(row["rays"] for row in self.history.units(self.number))
+
+        def record(result: Result) -> Result:
+            self.history.record(self.number, of_key[result.key], result)
+            return result
+
+        try:
+            with (
+                opened(engine, workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT) as pool,
+                closing(pool.map(run_unit, ((unit,) for unit in self.waiting), record)) as outcomes,
+            ):
+                for unit in self.waiting:
+                    if self._used_up(rays, time.monotonic() - start):
+                        state = BUDGET
+                        return
+                    outcome = next(outcomes)
+                    if isinstance(outcome.error, (OutputError, SubjectError)):
+                        raise outcome.error
+                    result = outcome.result
+                    if outcome.error:
+                        result = record(ended(unit, outcome.error, self.file))
+                    rays, self.computed = rays + result.rays, self.computed + 1
+                    yield result
+            state = COMPLETE
+        finally:
+            self.history.end(self.number, state)
+
+    def _used_up(self, rays: int, seconds: float) -> bool:
+        limits = self.campaign.budget
+        return seconds >= (limits.seconds or float("inf")) or rays >= (limits.rays or float("inf"))
+
+
+# ---- the command ----
+
+HISTORY_SUFFIX = ".history.sqlite"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing to run or judged, 130 interrupted."""
+    file = Path(args.file)
+    if file.suffix.lower() not in (".toml", ".json"):
+        with History(file) as history:
+            return show(history, args)
+    campaign, text = read_campaign(args.file)
+    units = units_of(campaign, file.parent)
+    if not units:
+        return report_error(f"{file}: nothing selected: an empty list leaves no unit", NOTHING_SELECTED)
+    variants.require_variants()
+    if args.unit:
+        return run_one(units, args.unit)
+    with History(args.history or file.with_suffix(HISTORY_SUFFIX), create=True) as history:
+        running = CampaignRun(history, args.file, campaign, text, units)
+        out = _stream(args)
+        found = f"{len(running.found)} in the history, {len(running.waiting)} to compute"
+        print_lines(f"{plural(len(units), 'unit')}: {found}", out)
+        try:
+            with (
+                closing(running.work(args.engine, args.workers)) as results,
+                closing(ProgressBar("campaign", len(running.waiting))) as bar,
+            ):
+                for result in results:
+                    bar.add(1, result.key)
+        finally:  # whatever ends the work, what is finished is kept
+            print_lines(f"computed {running.computed}, {len(running.waiting) - running.computed} left", out)
+            code = show(history, args)
+    return code
+
+
+def _stream(args: argparse.Namespace) -> TextIO:
+    """For text: standard error if the JSON goes to standard output."""
+    return sys.stderr if args.json == STANDARD_OUTPUT else sys.stdout
+
+
+def show(history: History, args: argparse.Namespace) -> int:
+    """Print the report on the last run and write its files; the exit code."""
+    found = report_of(history)
+    print_lines(f"\n{as_text(found)}", _stream(args))
+    if args.json:
+        write_result(found, args.json)
+    if args.html:
+        write_text(args.html, as_html(found))
+    if found.new or (args.strict and found.standing):
+        return DIFFERENCES
+    if not found.runs or not found.runs[-1].rays:
+        return report_error("nothing judged: no unit of the last run has a ray", NOTHING_SELECTED)
+    return OK
+
+
+def run_one(units: list[Unit], name: str) -> int:
+    """Run one unit in this process, without the history; 1 if it fails. Raises SceneError for an unknown name."""
+    names = {unit.name: unit for unit in units}
+    if name not in names:
+        raise SceneError(f"--unit {name!r}: the campaign has no such unit{suggestion(name, names)}")
+    result = run_unit(names[name])
+    counts = ", ".join(f"{key} {value:g}" for key, value in result.counts.items())
+    print_lines(f"{name}: {result.rays} rays, {result.hits} hits, {result.agree} agree; {counts}")
+    for each in result.failures:
+        print_lines(f"{each.side}: {each.cause} ({each.count}): {each.what}\n      replay: {each.replay}")
+    return DIFFERENCES if any(each.side == SUBJECT for each in result.failures) else OK

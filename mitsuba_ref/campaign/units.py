@@ -1,0 +1,354 @@
+"""Units of a campaign: calls of 0.1 to some seconds, each with a key that covers all its result depends on."""
+
+import json
+import os
+import secrets
+import shlex
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, replace
+from functools import cache
+from itertools import product, zip_longest
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from caster.cli.shared_arguments import display_names, scene_files
+from caster.description.errors import SceneError
+from caster.description.input_files import read_input
+from caster.rendering.threads import set_default_threads
+from caster.system.atomic_files import ScratchFolder
+from caster.system.cluster import CallEnded
+from mitsuba_ref.campaign.description import AnyJob, Campaign, Contender, FilmJob, FuzzJob, SceneJob
+from mitsuba_ref.fuzz.campaign import Drawing, Example
+from mitsuba_ref.fuzz.checks import answered_types
+from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.hard import BY_NAME
+from mitsuba_ref.hard.family import scene_of
+from mitsuba_ref.hard.random_families import FILMS
+from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
+from mitsuba_ref.judge.defect_lookup import defect_name
+from mitsuba_ref.judge.verdict import AGREE, REFERENCE_WRONG, TIE, UNLISTED, SceneVerdict
+from mitsuba_ref.reference.store import PROCESSOR, key_of, machine
+from mitsuba_ref.report import builtin_scenes
+from mitsuba_ref.report.reproducers import reproducer, rows_by_case
+from mitsuba_ref.runner.engine import worker_identity
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of
+from mitsuba_ref.runner.verdict_files import verdict_key
+from mitsuba_ref.stress import sweeps
+from mitsuba_ref.subjects.function import FUNCTION_PATTERN
+from mitsuba_ref.subjects.requests import parse_candidate
+from mitsuba_ref.subjects.subject import Subject
+
+EXAMPLES_A_UNIT = 10  # of fuzz; 0.1 s of CPU each
+MAX_UNITS = 200_000
+SUBJECT, REFERENCE = "subject", "reference"  # whose fault it is
+SCENE_PLACE = "{scene}"  # in a replay, for the file of the failure's own scene
+
+
+class Unit(NamedTuple):
+    """One call."""
+
+    kind: str  # type of its job
+    subject: Contender
+    parameters: dict[str, Any]
+    key: str  # a hash of all that its result depends on
+
+    @property
+    def name(self) -> str:
+        """Subject, kind and parameters: of all units of a campaign, no other has the same."""
+        shown = {name: value for name, value in self.parameters.items() if name != "path" and value is not None}
+        words = (f"{name}={_word(value)}" for name, value in shown.items())
+        return " ".join([self.subject.name, self.kind, *words])
+
+    @property
+    def group(self) -> str:
+        """What it is counted under over runs."""
+        return " ".join([self.subject.name, self.kind, *filter(None, [self.parameters.get("family")])])
+
+
+class Failure(NamedTuple):
+    """Wrong answers of one kind in a unit."""
+
+    side: str  # SUBJECT or REFERENCE; only the first fails the unit
+    cause: str
+    what: str
+    times: int = 1
+    replay: str = ""  # a command
+    scene: str = ""  # the text of the scene file it needs: one ray where possible
+
+
+class Result(NamedTuple):
+    """What came of a unit."""
+
+    key: str
+    rays: int = 0
+    hits: int = 0
+    agree: int = 0  # rays whose answers were compared and are right
+    counts: Mapping[str, float] = MappingProxyType({})  # classes of pixels, or tallies of fuzz and stress
+    failures: tuple[Failure, ...] = ()
+    seconds: float = 0.0
+    processor: str = ""  # of the machine that ran it
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "x".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+# ---- the units of a campaign ----
+
+
+def units_of(campaign: Campaign, folder: Path) -> list[Unit]:
+    """All units; those of different jobs alternate, so that a budget cuts all alike. folder: that of the file.
+
+    Raises FileMissing, SceneError.
+    """
+    around = json.dumps(worker_identity(), sort_keys=True)
+    own = {subject.name: _files_key(subject) for subject in campaign.subjects}
+    found: dict[str, Unit] = {}
+    for turn in zip_longest(*(_parameters(job, campaign.seeds, folder) for job in campaign.jobs)):
+        for job, each in zip(campaign.jobs, turn, strict=True):
+            if each is None:
+                continue
+            parameters, inputs = each
+            for subject in campaign.subjects:
+                about = json.dumps([job.type, subject.model_dump(mode="json"), parameters], sort_keys=True)
+                unit = Unit(job.type, subject, parameters, key_of([around, about, own[subject.name], inputs]))
+                found.setdefault(unit.name, unit)
+        if len(found) > MAX_UNITS:
+            raise SceneError(f"expected a campaign of at most {MAX_UNITS} units, got more: make its lists shorter")
+    return list(found.values())
+
+
+def _parameters(job: AnyJob, seeds: tuple[int, ...], folder: Path) -> Iterator[tuple[dict[str, Any], str]]:
+    """Parameters of each unit of a job, and a hash of the files it reads."""
+    if isinstance(job, SceneJob):
+        files = scene_files([place for word in job.scenes for place in _places(word, folder)])
+        for name, path in zip(display_names(files), files, strict=True):
+            inputs = _scene_key(path)
+            for size, bounce in product(job.sizes or (None,), range(job.bounces + 1)):
+                yield {"scene": name, "path": path, "size": size, "bounce": bounce}, inputs
+    elif isinstance(job, FilmJob):
+        names = ("seed", "scene", "family", "size", "bounce")
+        for values in product(seeds, range(job.scenes), job.families, job.sizes, range(job.bounces + 1)):
+            yield dict(zip(names, values, strict=True)), ""
+    elif isinstance(job, FuzzJob):
+        for seed, first, family, rays in product(
+            seeds, range(0, job.examples, EXAMPLES_A_UNIT), job.families, job.rays
+        ):
+            examples = min(EXAMPLES_A_UNIT, job.examples - first)
+            about = {"seed": seed, "family": family, "first": first, "examples": examples}
+            yield about | {"rays": rays, "judge_every": job.judge_every}, ""
+    else:
+        for seed, family, count in product(seeds, job.families, job.rays or (None,)):
+            for value in job.values or BY_NAME[family].values:
+                yield {"seed": seed, "family": family, "value": value, "rays": count}, ""
+
+
+def _places(word: str, folder: Path) -> list[str]:
+    """Files and folders by a word of a campaign file."""
+    name = word.removeprefix(builtin_scenes.PREFIX)
+    if name == word:
+        return [os.path.normpath(folder / word)]
+    if name in (*builtin_scenes.SETS, builtin_scenes.ALL_SETS):
+        return builtin_scenes.folders_of(name)
+    return [builtin_scenes.scene_path(word)]
+
+
+def _scene_key(path: str) -> str:
+    """A hash of a scene and its files; never the same where that is not known."""
+    try:
+        return verdict_key(SceneEntry("", path).load(), path) or secrets.token_hex()
+    except SceneError:  # which its units report
+        return key_of([read_input(path, "scene file")])
+
+
+def _files_key(subject: Contender) -> str:
+    """A hash of the files of a candidate: its module with those beside it in its package, or files among its words."""
+    named = subject.candidate or ""
+    files = set(subject.files)
+    if FUNCTION_PATTERN.fullmatch(named):
+        module = named.partition(":")[0].partition(".")[0]
+        files |= {str(each) for each in (*Path().glob(f"{module}.py"), *Path(module).rglob("*.py"))}
+    else:
+        files |= {word for word in shlex.split(named) if os.path.isfile(word)}
+    return key_of(part for file in sorted(files) for part in (file, read_input(file, "file of a candidate")))
+
+
+# ---- running one ----
+
+
+class SubjectError(SceneError):
+    """A subject that cannot be used, so that no unit of it can be run."""
+
+
+def run_unit(unit: Unit) -> Result:
+    """Run a unit in this process. Raises SubjectError, and what casting and judging raise."""
+    start = time.perf_counter()
+    set_default_threads(1)
+    try:
+        subject = subject_of(unit.subject)
+    except SceneError as error:
+        raise SubjectError(f"subject '{unit.subject.name}': {error}") from error
+    found = RUNS[unit.kind](unit, subject)
+    seconds = time.perf_counter() - start
+    return found._replace(key=unit.key, seconds=round(seconds, 3), processor=machine()[PROCESSOR])
+
+
+@cache
+def subject_of(contender: Contender) -> Subject | None:
+    """The candidate, kept by this process for its next unit; None: our caster. Raises SceneError."""
+    if contender.candidate is None:
+        return None
+    return parse_candidate(contender.candidate, contender.precision, contender.timeout, served=contender.serve)
+
+
+def ended(unit: Unit, error: Exception, file: str) -> Result:
+    """The result of a unit whose process ended, or that raised an exception. file: of the campaign."""
+    cause = "crash" if isinstance(error, CallEnded) else "error"
+    replay = shlex.join(["mitsuba-ref", "campaign", file, "--unit", unit.name])
+    return Result(
+        unit.key, failures=(Failure(SUBJECT, cause, problem_of(error), 1, replay),), processor=machine()[PROCESSOR]
+    )
+
+
+def _run_scene(unit: Unit, subject: Subject | None) -> Result:
+    at = unit.parameters
+    size, bounce = at["size"] and tuple(at["size"]), at["bounce"]
+    words = [*unit.subject.words()]
+    if bounce:
+        words += [*(["--size", *map(str, size)] if size else []), "--bounces", str(bounce)]
+    entry = SceneEntry(at["scene"], at["path"], size, options=tuple(words), bounce=bounce)
+    found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
+    result = _of_verdict(found, "")
+    if found.ok or found.unsupported or result.failures:
+        return result
+    what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
+    return result._replace(failures=(Failure(SUBJECT, "evidence", what, 1, found.replay),))
+
+
+def _run_film(unit: Unit, subject: Subject | None) -> Result:
+    at = unit.parameters
+    family = FILMS if at["family"] == FILMS.name else BY_NAME[at["family"]]
+    made = Example(at["seed"], at["scene"], family).made
+    width, height = at["size"]
+    try:
+        scene = scene_of({**made.data, "film": {"width": width, "height": height}})
+    except (SceneError, ValidationError):  # beyond what scenes may have
+        return Result("", counts={"outside": 1})
+    words = (*unit.subject.words(), *(("--bounces", str(at["bounce"])) if at["bounce"] else ()))
+    entry = SceneEntry(unit.name, SCENE_PLACE, options=words, given=scene, bounce=at["bounce"])
+    found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
+    return _of_verdict(found, scene.to_toml())
+
+
+def _of_verdict(found: SceneVerdict, whole: str) -> Result:
+    """The result of a judged film. whole: text of its scene; "" for a file, which replays name."""
+    if found.unsupported:
+        return Result("", counts={"declined": 1})
+    rays = sum(sum(each.values()) for each in found.kinds.values()) if found.bounce else found.pixels
+    agree = (
+        found.evidence if found.bounce else rays - sum(found.counts.values()) + found.counts[AGREE] + found.counts[TIE]
+    )
+    counts = {name: count for name, count in found.counts.items() if count}
+    return Result("", rays, found.hit_pixels, agree, counts, tuple(_failures(found, whole)))
+
+
+def _failures(found: SceneVerdict, whole: str) -> Iterator[Failure]:
+    alone: dict[str, str] = found.seen or {}  # scenes of one ray
+    replay = found.replay.replace(shlex.quote(SCENE_PLACE), SCENE_PLACE)
+    if found.problem:
+        yield Failure(SUBJECT, "no verdict", found.problem, 1, replay, whole)
+    for check, worst in found.worst_by.items():
+        if worst.verdict != REFERENCE_WRONG:
+            text = f"{worst.reason}; subject: {worst.subject}; exact: {worst.exact}"
+            again = worst.replay.replace(shlex.quote(SCENE_PLACE), SCENE_PLACE)
+            yield Failure(SUBJECT, check, text, found.failing_by[check], *_alone(alone.get(check), again, whole))
+    for made in found.checks:
+        if not made.ok:
+            yield Failure(SUBJECT, made.name, made.what, 1, replay, whole)
+    for case, count in found.cases.items():
+        side, name = (SUBJECT, UNLISTED) if case == UNLISTED else (REFERENCE, f"case {case}: {defect_name(int(case))}")
+        one = alone.get(UNLISTED if case == UNLISTED else f"case-{case}")
+        yield Failure(side, name, "", count, *_alone(one, replay, whole))
+
+
+def _alone(text: str | None, replay: str, whole: str) -> tuple[str, str]:
+    """A replay and its scene: that of the ray alone, if there is one."""
+    return (f"mitsuba-ref probe {SCENE_PLACE} 0 0", text) if text else (replay, whole)
+
+
+def _one_ray_scenes(found: SceneVerdict) -> dict[str, str]:
+    """Texts of scenes of one ray: of the worst pixel of each failing check, and of each case of the reference."""
+    judge, judgement = found.seen.judge, found.seen.judgement
+    if not judge.names_prims:
+        return {}
+    x0, y0, x1, y1 = judge.scene.film.window
+    rows = {case: of_case[0] for case, of_case in rows_by_case(judgement).items()}
+    for check, worst in found.worst_by.items():
+        if y0 <= worst.y < y1:
+            rows[check] = (worst.y - y0) * (x1 - x0) + worst.x - x0
+    texts = {}
+    for label, row in rows.items():
+        if judge.t_max[row] >= 0.0:
+            alone, notes = reproducer(judge, row, lit=label == "diffuse")
+            texts[label] = "".join(f"# {line}\n" for line in (f"{label}: {found.name}", *notes)) + alone.to_toml()
+    return texts
+
+
+def _run_fuzz(unit: Unit, subject: Subject | None) -> Result:
+    at = unit.parameters
+    types = (answered_types(subject),) if subject else ()
+    drawing = Drawing(at["seed"], (at["family"],), at["judge_every"], at["rays"], subject, *types)
+    total, failures = Tally(), list[Failure]()
+    for number in range(at["first"], at["first"] + at["examples"]):
+        tally, findings = drawing.tried(number)
+        total.add(tally)
+        given = {name: at[name.replace("-", "_")] for name in ("seed", "family", "rays", "judge-every")}
+        options = [word for name, value in given.items() for word in (f"--{name}", str(value))]
+        words = ["--examples", f"{number}..{number}", *options, *unit.subject.words()]
+        replay = shlex.join(["mitsuba-ref", "fuzz", *words])
+        failures += [Failure(SUBJECT, each.kind, each.what, 1, replay) for each in findings]
+    rays = total.pixels if subject else total.rays
+    counts = {name: value for name, value in asdict(total).items() if name not in ("kinds", "rays", "hits") and value}
+    return Result("", rays, total.hits, rays - len(failures), counts, tuple(failures))
+
+
+def _run_stress(unit: Unit, subject: Subject | None) -> Result:
+    at, words = unit.parameters, unit.subject.words()
+    family = replace(BY_NAME[at["family"]], values=(at["value"],))
+    failures = list[Failure]()
+    with ScratchFolder() as folder:
+        swept = sweeps.sweep(family, at["seed"], at["rays"], subject, Path(folder), words)
+        if swept.declined:
+            return Result("", counts={"declined": 1})
+        (setting,) = swept.settings
+        for caster in swept.casters:
+            score, mine = setting.witnesses[caster.key], caster is swept.casters[0]
+            if isinstance(score, sweeps.Score) and score.breaks and (mine or caster in sweeps.REFERENCES):
+                ready = sweeps.prepare_setting(family, at["seed"], at["value"], at["rays"])
+                ray = score.first_wrong[0]
+                text = scene_of_ray(ready.scene, ready.o[ray], ready.d[ray]).to_toml()
+                replay = " ".join(["mitsuba-ref probe", SCENE_PLACE, "0 0", *map(shlex.quote, words if mine else ())])
+                side, cause = (SUBJECT, "wrong") if mine else (REFERENCE, f"{caster.title}: {family.name}")
+                failures.append(Failure(side, cause, score.example, score.wrong_masks + score.beyond, replay, text))
+    own = setting.witnesses[swept.casters[0].key]
+    if not swept.ok and not any(each.side == SUBJECT for each in failures):  # no answer, or nothing to judge
+        failures.append(Failure(SUBJECT, "not judged", swept.problems[0], 1, f"mitsuba-ref stress {family.name}"))
+    if not isinstance(own, sweeps.Score):
+        return Result("", setting.rays, setting.exact.hits, 0, {}, tuple(failures))
+    wrong = {"false hits": own.false_hits, "false misses": own.false_misses, "beyond": own.beyond}
+    counts = {name: count for name, count in (wrong | {"excused": own.excused}).items() if count}
+    return Result("", setting.rays, setting.exact.hits, setting.rays - sum(wrong.values()), counts, tuple(failures))
+
+
+RUNS: dict[str, Callable[[Unit, Subject | None], Result]] = {
+    "scenes": _run_scene,
+    "films": _run_film,
+    "fuzz": _run_fuzz,
+    "stress": _run_stress,
+}

@@ -1,0 +1,253 @@
+"""Campaign files and histories: errors of both, what the key of a unit covers, what is new and what is gone."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from caster.description.errors import FileMissing, SceneError
+from caster.system.atomic_files import OutputError
+from mitsuba_ref.campaign import units as module
+from mitsuba_ref.campaign.description import read_campaign
+from mitsuba_ref.campaign.history import WAIT_SECONDS, History
+from mitsuba_ref.campaign.report import LISTED, as_html, as_text, report_of
+from mitsuba_ref.campaign.units import REFERENCE, SUBJECT, Failure, Result, units_of
+
+FUZZ = '[[job]]\ntype = "fuzz"\nfamilies = ["edges", "ties"]\nexamples = 30\nrays = [10, 40]\n'
+
+
+@pytest.fixture
+def units(tmp_path, monkeypatch):
+    """The units of the text of a campaign file."""
+    monkeypatch.chdir(tmp_path)
+
+    def found(text, name="campaign.toml"):
+        file = tmp_path / name
+        file.write_text(text)
+        return units_of(read_campaign(str(file))[0], tmp_path)
+
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("sed = [1]\n" + FUZZ, "campaign.toml:1:1: campaign: sed is an unknown key, did you mean 'seeds'?"),
+        (FUZZ + "example = 3", "campaign.toml:6:1: job[0] (fuzz): example is an unknown key, did you mean 'examples'?"),
+        (FUZZ.replace("edges", "edge"), "unknown family 'edge', did you mean 'edges'?"),
+        (FUZZ.replace("fuzz", "fuz"), "unknown job type \"fuz\", did you mean 'fuzz'?"),
+        (FUZZ.replace("30", "0"), "examples must be > 0, got 0"),
+        (FUZZ.replace("[10, 40]", "40"), "rays must be a list, got 40"),
+        (FUZZ + "[budget]\nseconds = -1", "budget: seconds must be > 0, got -1"),
+        ("seeds = [0]", "needs the key 'job'"),
+        (FUZZ.replace("30", "2_000_000_000"), "expected a campaign of at most 200000 units"),
+        (2 * "[[subject]]\n" + FUZZ, "needs subjects of different names, got 'ours' twice"),
+        ("[[job]\n", "campaign.toml:1:6: not valid TOML"),
+    ],
+)
+def test_a_mistake_in_a_campaign_file_is_named_with_its_place(units, text, says):
+    with pytest.raises(SceneError) as error:
+        units(text)
+    assert says in str(error.value)
+
+
+def test_a_scene_file_that_is_not_there_is_named(units):
+    with pytest.raises(FileMissing, match=r"no/such\.toml: expected a scene file or a folder"):
+        units('[[job]]\ntype = "scenes"\nscenes = ["no/such.toml"]\n')
+
+
+def test_units_are_every_combination_and_each_has_a_key_of_its_own(units):
+    text = f'seeds = [0, 1]\n[[subject]]\n[[subject]]\nname = "mine"\ncandidate = "mine:trace"\n{FUZZ}'
+    films = '[[job]]\ntype = "films"\nscenes = 3\nsizes = [[8, 8], [4, 4]]\nbounces = 2\n'
+    stress = '[[job]]\ntype = "stress"\nfamilies = ["tangency"]\nvalues = [0.1, 0.01]\nrays = [5, 6]\n'
+    found = units(text + films + stress)
+    assert len(found) == 2 * 2 * (3 * 2 * 2 + 3 * 2 * 3 + 2 * 2)
+    assert len({unit.key for unit in found}) == len({unit.name for unit in found}) == len(found)
+    assert {unit.kind for unit in found[:6]} == {"fuzz", "films", "stress"}, "a budget cuts all jobs alike"
+    assert sum(unit.parameters["examples"] for unit in found if unit.kind == "fuzz") == 2 * 2 * 2 * 2 * 30
+
+
+def test_keys_change_with_code_settings_subject_and_scene(units, tmp_path, monkeypatch):
+    scene = (module.builtin_scenes.ROOT / "triangles" / "scan.toml").read_text()
+    (tmp_path / "scan.toml").write_text(scene)
+    (tmp_path / "mine.py").write_text("def trace(scene, o, d): ...")
+    text = '[[subject]]\nname = "mine"\ncandidate = "mine:trace"\n[[job]]\ntype = "scenes"\nscenes = ["scan.toml"]\n'
+
+    def key(changed=text):
+        (unit,) = units(changed)
+        return unit.key
+
+    first = key()
+    assert key() == first
+    (tmp_path / "mine.py").write_text("def trace(scene, o, d): return None")
+    edited = key()
+    (tmp_path / "scan.toml").write_text(scene + "\n# later\n")
+    other_scene = key()
+    monkeypatch.setenv("MITSUBA_ANYTHING", "1")
+    other_settings = key()
+    monkeypatch.setattr(module, "worker_identity", lambda: {"source code": "of tomorrow"})
+    assert len({first, edited, other_scene, other_settings, key()}) == 5
+
+
+ABOUT = dict.fromkeys(("code", "git", "campaign"), "x") | {"machine": "{}"}
+
+
+def finish(history, units, failures=lambda unit: (), **numbers):
+    """A run of these units, those that are not in the history with these failures; its number, and how many are new."""
+    run, found = history.begin(units, ABOUT)
+    for unit in units:
+        if unit.key not in found:
+            result = Result(unit.key, **({"rays": 10, "hits": 5, "agree": 10, "seconds": 2.0} | numbers))
+            history.record(run, unit, result._replace(failures=failures(unit)))
+    history.end(run, "complete")
+    return run, len(units) - len(found)
+
+
+def with_keys(units, ending):
+    """The units as another version of the code has them."""
+    return [unit._replace(key=unit.key + ending) for unit in units]
+
+
+def test_a_failure_is_new_once_then_stands_and_is_gone_with_its_fix(units, tmp_path):
+    made = units(FUZZ)
+    scene = Failure(SUBJECT, "missed", "ours: miss\nexact: hit", 2, "mitsuba-ref probe {scene} 0 0", "# one ray")
+    with History(tmp_path / "h.sqlite", create=True) as history:
+        assert finish(history, made) == (1, len(made))
+        assert report_of(history).ok
+        fault = lambda unit: (scene,) if unit is broken[3] else ()  # noqa: E731
+        broken = with_keys(made, "-broken")
+        assert finish(history, broken, fault, hits=6) == (2, len(made))
+        found = report_of(history)
+        assert not found.ok and [each.unit for each in found.new] == [made[3].name] and not found.gone
+        file = found.new[0].replay.split()[2]
+        assert Path(file).read_text() == "# one ray"
+        assert found.changed[0].counts == {"hits": (5, 6)} and len(found.changed) == len(made)
+        text = as_text(found)
+        assert text.index("new failures: 1") < text.index("trends" if "trends" in text else "rays/s")
+        assert "missed (2 in 1 unit): " + made[3].name in " ".join(text.split())
+
+        worse = with_keys(made, "-worse")
+        finish(history, worse, lambda unit: (scene,) if unit in (worse[3], worse[4]) else ())
+        found = report_of(history)
+        assert [each.unit for each in found.new] == [made[4].name] and [each.unit for each in found.standing] == [
+            made[3].name
+        ]
+        assert finish(history, made) == (4, 0), "the results of the first run are found again"
+        found = report_of(history)
+        assert found.ok and {each.unit for each in found.gone} == {made[3].name, made[4].name}
+        assert [point.failing for point in found.trends["ours fuzz edges"]] == [
+            0,
+            *[sum(unit.group == "ours fuzz edges" for unit in each) for each in ([made[3]], made[3:5])],
+            0,
+        ]
+        assert found.runs[-1].computed == 0 and finish(history, made) == (4, 0), "the same run goes on"
+
+
+def test_a_unit_that_the_last_run_did_not_reach_is_compared_with_the_one_before(units, tmp_path):
+    made = units(FUZZ)
+    failing = lambda unit: (Failure(SUBJECT, "t", "off"),)  # noqa: E731
+    with History(tmp_path / "h.sqlite", create=True) as history:
+        finish(history, made, failing)
+        later = with_keys(made, "-later")
+        run, _ = history.begin(later, ABOUT)
+        history.record(run, later[0], Result(later[0].key, 1))
+        history.end(run, "budget")
+        finish(history, with_keys(made, "-last"), failing)
+        assert [each.unit for each in report_of(history).new] == [made[0].name]
+
+
+def test_wrong_answers_of_the_reference_come_once_a_case_with_the_smallest_scene(units, tmp_path):
+    made = units(FUZZ)
+    sizes = {unit.key: 99 - i for i, unit in enumerate(made)}
+
+    def failures(unit):
+        text = "#" * sizes[unit.key]
+        return (Failure(REFERENCE, "case 3: a cap", "Mitsuba is wrong", 4, "mitsuba-ref probe {scene} 0 0", text),)
+
+    with History(tmp_path / "h.sqlite", create=True) as history:
+        finish(history, made, failures)
+        found = report_of(history)
+    (case,) = found.defects
+    assert found.ok and (case.units, case.times) == (len(made), 4 * len(made))
+    assert Path(case.replay.split()[2]).read_text() == "#" * min(sizes.values())
+
+
+def test_the_page_needs_no_other_file_and_no_text_ends_it(units, tmp_path):
+    made = units(FUZZ.replace("30", "300"))
+    with History(tmp_path / "h.sqlite", create=True) as history:
+        finish(history, made, lambda unit: (Failure(SUBJECT, unit.key, "</pre><script>"),))
+        page = as_html(report_of(history))
+    assert "<svg" in page and "<polyline" in page and "</pre><script>" not in page and "&lt;script&gt;" in page
+    assert "http" not in page and "src=" not in page and f"and {len(made) - LISTED} more" in page
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (
+            b"no database at all, but a text" * 99,
+            "not a history of a campaign, or a damaged one: file is not a database",
+        ),
+        (b"", "expected the history of a campaign, of version 1; this is another database"),
+        (None, "expected the history of a campaign, found no such file"),
+    ],
+)
+def test_a_file_that_is_no_history_is_named(tmp_path, content, says):
+    file = tmp_path / "h.sqlite"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(OutputError, match=rf"h\.sqlite: {says}"):
+        History(file)
+
+
+def test_a_history_whose_making_was_cut_off_is_made_again(units, tmp_path):
+    (tmp_path / "h.sqlite").write_bytes(b"")
+    with History(tmp_path / "h.sqlite", create=True) as history:
+        assert finish(history, units(FUZZ))[0] == 1
+
+
+def test_another_database_is_left_alone(tmp_path):
+    file = tmp_path / "h.sqlite"
+    with sqlite3.connect(file) as other:
+        other.execute("CREATE TABLE mine (a)")
+    before = file.read_bytes()
+    with pytest.raises(OutputError, match="this is another database"):
+        History(file, create=True)
+    assert file.read_bytes() == before
+
+
+def test_a_damaged_page_of_a_history_is_found_when_it_is_opened(units, tmp_path):
+    file = tmp_path / "h.sqlite"
+    with History(file, create=True) as history:
+        finish(history, units(FUZZ.replace("30", "900")))
+    content = bytearray(file.read_bytes())
+    for page in range(4096, len(content), 4096):
+        content[page : page + 64] = b"\xff" * 64
+    file.write_bytes(content)
+    with pytest.raises(OutputError, match="damaged one"):
+        History(file)
+
+
+def test_a_history_that_another_process_locks_is_an_error_in_time(units, tmp_path, monkeypatch):
+    assert WAIT_SECONDS <= 10.0
+    monkeypatch.setattr("mitsuba_ref.campaign.history.WAIT_SECONDS", 0.1)
+    made, file = units(FUZZ), tmp_path / "h.sqlite"
+    with History(file, create=True) as history:
+        other = sqlite3.connect(file, isolation_level=None)
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(OutputError, match="cannot be used: database is locked"):
+            history.begin(made, ABOUT)
+        other.execute("ROLLBACK")
+        assert history.begin(made, ABOUT) == (1, set())
+
+
+def test_a_full_disk_is_an_error_and_what_was_finished_is_kept(units, tmp_path):
+    made, file = units(FUZZ.replace("30", "900")), tmp_path / "h.sqlite"
+    with History(file, create=True) as history:
+        history.database.execute("PRAGMA max_page_count = 20")
+        with pytest.raises(OutputError, match="database or disk is full; what was finished before is kept"):
+            finish(history, made, lambda unit: (Failure(SUBJECT, "t", "off" * 999),))
+        kept = len(history.rows("SELECT * FROM units"))
+        assert 0 < kept < len(made)
+    with History(file) as history:
+        assert finish(history, made)[1] == len(made) - kept
