@@ -20,6 +20,7 @@ from caster.cli.shared_arguments import (
     add_threads,
     check_exr_suffix,
     comma_separated,
+    engine,
     load,
 )
 from caster.description.errors import SceneError, error_prefix
@@ -47,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "render these pixels only; X1 and Y1 are exclusive"
     add("--crop", nargs=4, type=int, metavar=("X0", "Y0", "X1", "Y1"), help=help_)
     add_threads(parser)
+    help_ = "what renders the bands of a large film: local; dask, a Dask cluster started here; or dask:ADDRESS"
+    add("--engine", type=engine, metavar="ENGINE", default="local", help=help_)
     add("--explain", action="store_true", help="print how the image was computed, and what was skipped")
     add("--json", action="store_true", help="print the same as JSON, with counts of the work done")
 
@@ -59,8 +62,9 @@ def run(args: argparse.Namespace) -> int:
             scene = scene.with_film(crop=args.crop)
     output = args.output if args.output is not None else f"{Path(args.scene).stem}.exr"
     check_exr_suffix(output)
+    from caster.cli.distributed_render import bands_on
     from caster.image.channels import write_render
-    from caster.rendering.images import check_names, render_bands, render_film
+    from caster.rendering.images import bands_of, check_names, render_bands, render_film
     from caster.rendering.threads import thread_count
     from caster.rendering.warm_up import compile_for
     from caster.system.terminal import ProgressBar
@@ -75,8 +79,12 @@ def run(args: argparse.Namespace) -> int:
     def bands() -> Iterator[Aovs]:
         nonlocal rendered
         with error_prefix(args.scene):
-            for rendered in render_bands(scene, aovs, threads=args.threads, on_progress=bar.add):
-                yield rendered.aovs
+            found = (render_film(each, aovs, threads=args.threads, on_progress=bar.add) for each in bands_of(scene))
+            if args.engine != "local":
+                found = bands_on(args.engine, args.threads, scene, (args.scene, *args.mesh_dir), aovs, bar.add)
+            with closing(found):
+                for rendered in render_bands(scene, found):
+                    yield rendered.aovs
 
     with closing(ProgressBar("rendering", (x1 - x0) * (y1 - y0))) as bar:
         write_render(output, scene, bands(), args.scene, threads=thread_count(args.threads))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
@@ -31,6 +32,7 @@ __all__ = [
     "check_utf8_name",
     "comma_separated",
     "display_names",
+    "engine",
     "load",
     "positive_int",
     "resized",
@@ -91,6 +93,13 @@ def positive_int(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
     return int(text)
+
+
+def engine(text: str) -> str:
+    """Parse the name of an engine, or raise argparse's error."""
+    if text in ("local", "dask") or re.fullmatch(r"dask:(tcp|tls)://.+:\d+", text):
+        return text
+    raise argparse.ArgumentTypeError(f"expected local, dask or dask:tcp://HOST:PORT, got '{text}'")
 
 
 def comma_separated(text: str | None) -> list[str]:

@@ -1,6 +1,6 @@
 """Films of a scene: its AOVs as images."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -71,13 +71,10 @@ class RenderResult:
 BAND_PIXELS = 1 << 21
 
 
-def render_bands(
-    scene: Scene, aovs: Sequence[str], *, threads: int | None = None, on_progress: OnProgress = None
-) -> Iterator[RenderResult]:
-    """Render the film in bands of whole tiles, from the top; each result has the counts of all bands so far."""
+def render_bands(scene: Scene, bands: Iterable[RenderResult]) -> Iterator[RenderResult]:
+    """The rendered bands of a scene's film, from the top; each result has the counts of all bands so far."""
     before: RenderResult | None = None
-    for band in scene.bands(BAND_PIXELS, HEIGHT):
-        found = render_film(band, aovs, threads=threads, on_progress=on_progress)
+    for found in bands:
         if before is not None:
             found = replace(
                 found,
@@ -88,6 +85,11 @@ def render_bands(
             )
         before = replace(found, scene=scene)
         yield before
+
+
+def bands_of(scene: Scene) -> Iterator[Scene]:
+    """The scene with each band of its film, of whole tiles."""
+    return scene.bands(BAND_PIXELS, HEIGHT)
 
 
 def render_film(

@@ -151,16 +151,21 @@ class Cluster:
             self._stack.close()
 
     def map(
-        self, function: Callable[..., Any], calls: Iterable[tuple[Any, ...]], seconds: float | None = None
+        self,
+        function: Callable[..., Any],
+        calls: Iterable[tuple[Any, ...]],
+        seconds: float | None = None,
+        waiting: int = WAITING_RESULTS,
     ) -> Generator[Outcome, None, None]:
         """function(*args) for each of the calls; outcomes in their order. The function is imported by the workers.
 
-        seconds: time limit of one call. Raises ClusterError for a lost cluster, and for a worker that differs.
+        seconds: time limit of one call. waiting: how many finished calls at most wait for an earlier one. Raises
+        ClusterError for a lost cluster, and for a worker that differs.
         """
         sent: deque[_Sent] = deque()
         try:
             for args in calls:
-                while not self._has_room(sent):
+                while not self._has_room(sent, waiting):
                     yield from self._finished(sent)
                 call = _Call(function, pickle.dumps(args), os.getcwd(), self.identify, self.expected, seconds)
                 future = self.client.submit(call, pure=False)
@@ -172,10 +177,10 @@ class Cluster:
             with contextlib.suppress(Exception):
                 self.client.cancel([each.future for each in sent], force=True)
 
-    def _has_room(self, sent: deque[_Sent]) -> bool:
+    def _has_room(self, sent: deque[_Sent], waiting: int) -> bool:
         unfinished = sum(each.outcome is None for each in sent)
         workers = sum(each["nthreads"] for each in self.client.scheduler_info(n_workers=-1)["workers"].values())
-        return unfinished < CALLS_PER_WORKER * max(1, workers) and len(sent) - unfinished < WAITING_RESULTS
+        return unfinished < CALLS_PER_WORKER * max(1, workers) and len(sent) - unfinished < waiting
 
     def _finished(self, sent: deque[_Sent]) -> Iterator[Outcome]:
         """Wait for a call to finish, then take outcomes from the left as far as there are any.

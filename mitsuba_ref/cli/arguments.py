@@ -18,6 +18,7 @@ from caster.cli.shared_arguments import (
     add_mesh_dirs,
     add_pixel,
     add_scene,
+    engine,
     positive_int,
 )
 from mitsuba_ref.reference.interpreter import AS_IN_FILE_VARIABLE, PYTHON_VARIABLE, VARIANT_VARIABLE
@@ -337,13 +338,6 @@ def add_engine(add: Callable[..., argparse.Action]) -> None:
         "what runs the work: local, the processes of this machine; dask, a Dask cluster started here; or dask:ADDRESS"
     )
     add("--engine", engine, help_, metavar="ENGINE", default="local")
-
-
-def engine(text: str) -> str:
-    """Parse the name of an engine, or raise argparse's error."""
-    if text in ("local", "dask") or re.fullmatch(r"dask:(tcp|tls)://.+:\d+", text):
-        return text
-    raise argparse.ArgumentTypeError(f"expected local, dask or dask:tcp://HOST:PORT, got '{text}'")
 
 
 def shard(text: str) -> Shard:

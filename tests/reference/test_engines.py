@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from caster.__main__ import main as caster_main
 from caster.system.cluster import CallEnded, Cluster, ClusterError
 from mitsuba_ref.__main__ import main
 
+ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
 
 # Functions that workers import from a module beside the test.
@@ -170,6 +172,21 @@ def without_times(record):
     if isinstance(record, dict):
         return {key: without_times(value) for key, value in record.items() if "seconds" not in key}
     return [without_times(each) for each in record] if isinstance(record, list) else record
+
+
+COUNTS = ("camera_rays", "decided_exactly", "shadow_rays", "shading", "aovs")
+
+
+def test_bands_of_a_film_on_dask_are_the_same_bytes(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("caster.rendering.images.BAND_PIXELS", 64 * 70)
+    words = ["render", str(ROOT / "scenes/every-shape.toml"), "--size", "70", "300", "--crop", "3", "5", "69", "290"]
+    told = {}
+    for engine in ("local", "dask"):
+        assert caster_main([*words, "--engine", engine, "-o", f"{tmp_path}/{engine}.exr", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        told[engine] = [found[name] for name in COUNTS]
+    assert told["local"] == told["dask"]
+    assert (tmp_path / "local.exr").read_bytes() == (tmp_path / "dask.exr").read_bytes()
 
 
 CANDIDATE = """\

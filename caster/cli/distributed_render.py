@@ -1,0 +1,85 @@
+"""Films whose bands are rendered by the workers of a Dask cluster."""
+
+import hashlib
+import importlib.metadata
+import platform
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from caster.aovs import Aovs
+from caster.geometry.packing import packed
+from caster.rendering.images import RenderResult, bands_of, render_film
+from caster.rendering.plan import Plan
+from caster.rendering.threads import core_count
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
+from caster.system.cluster import Cluster
+
+__all__ = ["bands_on"]
+
+LIBRARIES = ("numpy", "numba", "llvmlite")  # that results depend on
+
+
+WAITING_BANDS = 4  # of some 100 MB
+
+
+class Band(NamedTuple):
+    """What a worker sends back of a RenderResult."""
+
+    aovs: Aovs
+    plan: Plan
+    hits: int
+    decided_exactly: int
+    shadow_rays: int
+    on_film: tuple[Any, ...]
+
+
+def bands_on(
+    engine: str,
+    workers: int | None,
+    scene: Scene,
+    files: Sequence[str],
+    aovs: Sequence[str],
+    on_progress: Callable[[int], None],
+) -> Generator[RenderResult, None, None]:
+    """Render the bands of a film on a cluster, by the names of `Cluster`; in order. Raises ClusterError.
+
+    files: the scene's file, which every worker loads, and folders of its meshes.
+    """
+    film, arrays = (scene.film.width, scene.film.height), packed(scene)
+    calls = ((*files[:1], tuple(files[1:]), film, band.film.window, tuple(aovs)) for band in bands_of(scene))
+    with (
+        Cluster(engine, workers or core_count(), identity, "source code", "python", *LIBRARIES) as cluster,
+        closing(cluster.map(render_band, calls, waiting=WAITING_BANDS)) as outcomes,
+    ):
+        for outcome in outcomes:
+            band: Band = outcome.value()
+            on_progress(band.aovs.hit.size)
+            yield RenderResult(scene, arrays, *band)
+
+
+def render_band(
+    file: str, mesh_dirs: Sequence[str], film: tuple[int, int], window: tuple[int, int, int, int], aovs: Sequence[str]
+) -> Band:
+    """Render one band, in a worker."""
+    scene = scene_of(file, tuple(mesh_dirs)).with_film(width=film[0], height=film[1], crop=window)
+    found = render_film(scene, aovs, threads=1)
+    return Band(*(getattr(found, name) for name in Band._fields))
+
+
+@cache
+def scene_of(file: str, mesh_dirs: tuple[str, ...]) -> Scene:
+    """The scene, loaded once by each worker."""
+    return load_scene(file, mesh_dirs)
+
+
+def identity() -> Mapping[str, str]:
+    """What the bits of a film depend on; processors make no difference."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).resolve().parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    versions = {name: importlib.metadata.version(name) for name in LIBRARIES}
+    return {"source code": digest.hexdigest(), "python": platform.python_version(), **versions}
