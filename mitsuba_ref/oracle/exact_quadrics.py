@@ -1,22 +1,12 @@
 """Exact intersection with spheres, round segments, and unit shapes under a matrix, by its exact inverse."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.oracle.exact_numbers import (
-    IntegerRay,
-    Integers3,
-    Root,
-    cross,
-    dot,
-    scaled,
-    scaled_vectors,
-    shifted,
-    sign_with_root,
-    sub,
-)
-from mitsuba_ref.oracle.implicit_surfaces import AsVector, ImplicitSurface
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, cross, dot, shifted, sign_with_root, sub
+from mitsuba_ref.oracle.implicit_surfaces import ImplicitSurface, Vector
 from mitsuba_ref.oracle.interface import (
     DEGENERATE,
     NO_INTERSECTION,
@@ -28,21 +18,12 @@ from mitsuba_ref.oracle.interface import (
 )
 
 
-class Affine(NamedTuple):
-    """Centre 2^-k, and the rows of adj(to_world 2^k) with the determinant."""
-
-    center: Integers3
-    adjugate: tuple[Integers3, Integers3, Integers3]
-    determinant: int
-    k: int
-
-
 class ObjectRay(NamedTuple):
     """A ray in the object space of a unit shape, scaled up: (o + s d) / size, where t = s 2^e."""
 
     o: Integers3
     d: Integers3
-    size: int  # not 0
+    size: int  # the determinant; 0 for a singular matrix
     e: int
 
 
@@ -52,18 +33,17 @@ def cofactors(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
     return rows, dot(a, rows[0])
 
 
-def prepare_affine(prims: Any, k: int) -> Affine:
-    (center, *columns), scale = scaled_vectors(np.vstack([prims.center[k], prims.to_world[k].T]))
-    return Affine(center, *cofactors(*columns), scale)
+def affine_vectors(prims: Any, k: Any) -> np.ndarray:
+    """The centre and the columns of the matrix."""
+    return np.concatenate([prims.center[k][..., None, :], prims.to_world[k].swapaxes(-1, -2)], axis=-2)
 
 
-def to_object_space(by: Affine, ray: IntegerRay) -> ObjectRay:
-    """inverse = adjugate 2^k / determinant, so that adjugate (o - center) has the unit determinant 2^(scale - k)."""
-    scale = max(by.k, ray.ko)
-    away = sub(shifted(ray.o, scale - ray.ko), shifted(by.center, scale - by.k))
-    x, y, z = by.adjugate
-    o, d = (dot(x, away), dot(y, away), dot(z, away)), (dot(x, ray.d), dot(y, ray.d), dot(z, ray.d))
-    return ObjectRay(o, d, by.determinant << (scale - by.k), ray.kd - scale)
+def to_object_space(affine: Sequence[Integers3], bits: int, ray: IntegerRay) -> ObjectRay:
+    """The inverse is the adjugate over the determinant, which has one length more: its unit is shifted."""
+    center, *columns = affine
+    (x, y, z), determinant = cofactors(*columns)
+    o, d = ((dot(x, v), dot(y, v), dot(z, v)) for v in (sub(ray.o, shifted(center, bits)), ray.d))
+    return ObjectRay(o, d, determinant << bits, ray.e)
 
 
 # A sum of three magnitudes and this product take three roundings, each down by at most 2^-53 of the result.
@@ -75,14 +55,6 @@ def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(over="ignore"):
         reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
         return next_below(prims.center - reach), next_above(prims.center + reach)
-
-
-class IntegerSphere(NamedTuple):
-    """All p with |p - center 2^-k| = radius 2^-k."""
-
-    center: Integers3
-    radius: int
-    k: int
 
 
 def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Root]:
@@ -97,26 +69,25 @@ def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Roo
     return [Root(-b, side, inside, a, e) for side in ((-1, 1) if inside else (0,))]
 
 
-def prepare_sphere(prims: Any, k: int) -> IntegerSphere:
-    (x, y, z, radius), scale = scaled([*prims.center[k].tolist(), float(prims.radius[k])])
-    return IntegerSphere((x, y, z), radius, scale)
+def sphere_vectors(prims: Any, k: Any) -> np.ndarray:
+    """The centre, and the radius three times."""
+    return np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2)
 
 
-def intersect_sphere(sphere: IntegerSphere, ray: IntegerRay) -> LineIntersections:
-    scale = max(sphere.k, ray.ko)
-    away = sub(shifted(ray.o, scale - ray.ko), shifted(sphere.center, scale - sphere.k))
-    return _closed(line_sphere_roots(away, ray.d, sphere.radius << (scale - sphere.k), ray.kd - scale))
+def intersect_sphere(sphere: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """All p with |p - center| = radius."""
+    center, (radius, *_) = sphere
+    return _closed(line_sphere_roots(sub(ray.o, shifted(center, bits)), ray.d, radius << bits, ray.e))
 
 
-def intersect_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
-    if not ellipsoid.determinant:
-        return DEGENERATE
-    return _closed(line_sphere_roots(*to_object_space(ellipsoid, ray)))
+def intersect_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    local = to_object_space(ellipsoid, bits, ray)
+    return _closed(line_sphere_roots(*local)) if local.size else DEGENERATE
 
 
-def enter_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
+def enter_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
     """Where the line enters it."""
-    found = intersect_ellipsoid(ellipsoid, ray)
+    found = intersect_ellipsoid(ellipsoid, bits, ray)
     return found._replace(roots=found.roots[:1])
 
 
@@ -125,11 +96,11 @@ def _closed(roots: list[Root]) -> LineIntersections:
     return LineIntersections(tuple((root, where) for root in roots))
 
 
-def intersect_cylinder(cylinder: Affine, ray: IntegerRay) -> LineIntersections:
+def intersect_cylinder(cylinder: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
     """Roots of the circle in x and y that have z between 0 and size."""
-    if not cylinder.determinant:
+    o, d, size, e = local = to_object_space(cylinder, bits, ray)
+    if not size:
         return DEGENERATE
-    o, d, size, e = local = to_object_space(cylinder, ray)
     if not (d[0] or d[1]):
         return _along_cylinder_wall(local)
     found = []
@@ -148,11 +119,11 @@ def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
     return contact("edge_on", [Root(-z, 0, 0, slope, e), Root(size - z, 0, 0, slope, e)])
 
 
-def intersect_disk(disk: Affine, ray: IntegerRay) -> LineIntersections:
+def intersect_disk(disk: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
     """z is 0 at s = -o.z / d.z; x^2 + y^2 there is compared with size^2, both times d.z^2."""
-    if not disk.determinant:
+    (ox, oy, oz), (dx, dy, dz), size, e = to_object_space(disk, bits, ray)
+    if not size:
         return DEGENERATE
-    (ox, oy, oz), (dx, dy, dz), size, e = to_object_space(disk, ray)
     if not dz:  # within the plane: from where it enters the circle to where it leaves
         return NO_INTERSECTION if oz else contact("edge_on", line_sphere_roots((ox, oy, 0), (dx, dy, 0), size, e))
     x, y = ox * dz - oz * dx, oy * dz - oz * dy
@@ -167,33 +138,21 @@ def height(root: Root, o: int, d: int) -> int:
     return sign_with_root(root.s * o + root.p * d, root.q * d, root.r)
 
 
-class IntegerSegment(NamedTuple):
-    """The convex hull of the spheres around start and end with radii (at start, at end), all 2^-k."""
-
-    start: Integers3
-    end: Integers3
-    radii: tuple[int, int]
-    k: int
+def segment_vectors(prims: Any, k: Any) -> np.ndarray:
+    """Start and end, the radii there, of which the second twice."""
+    return np.stack([prims.start[k], prims.end[k], prims.radius[k][..., [0, 1, 1]]], axis=-2)
 
 
-def prepare_segment(prims: Any, k: int) -> IntegerSegment:
-    (start, end, radii), scale = scaled_vectors(np.stack([prims.start[k], prims.end[k], [*prims.radius[k], 0.0]]))
-    return IntegerSegment(start, end, radii[:2], scale)
-
-
-def enter_segment(segment: IntegerSegment, ray: IntegerRay) -> LineIntersections:
+def enter_segment(segment: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
     """Where the line enters the hull: of the cone and both spheres the one root that lies on it.
 
-    The hull is the union of spheres around start + v axis with radii r + v grow, 0 <= v <= 1. A point at s d is on the
-    sphere v that touches the cone there if size v = (o + s d) . axis + r grow, where size = axis^2 - grow^2; those
-    with v < 0 and v > 1 are on the spheres. With h = o + s d, the cone is
+    The hull of the spheres around both ends is the union of spheres around start + v axis with radii r + v grow,
+    0 <= v <= 1. A point at s d is on the sphere v that touches the cone there if size v = (o + s d) . axis + r grow,
+    where size = axis^2 - grow^2; those with v < 0 and v > 1 are on the spheres. With h = o + s d, the cone is
     size (h^2 - r^2) = (h . axis + r grow)^2.
     """
-    scale = max(segment.k, ray.ko)
-    more = scale - segment.k
-    start, end = shifted(segment.start, more), shifted(segment.end, more)
-    r, q = (radius << more for radius in segment.radii)
-    o, axis, grow, e = sub(shifted(ray.o, scale - ray.ko), start), sub(end, start), q - r, ray.kd - scale
+    start, end, (r, q, _) = (shifted(v, bits) for v in segment)
+    o, axis, grow, e = sub(ray.o, start), sub(end, start), q - r, ray.e
     size, lift, rise = dot(axis, axis) - grow * grow, dot(o, axis) + r * grow, dot(ray.d, axis)
     at_start, at_end = line_sphere_roots(o, ray.d, r, e)[:1], line_sphere_roots(sub(o, axis), ray.d, q, e)[:1]
     found = [root for root in at_start if height(root, lift, rise) < 0]
@@ -226,33 +185,31 @@ def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
         return next_below(prims.center - r), next_above(prims.center + r)
 
 
-def sphere_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
-    (radius,) = vector(prims.radius[k][..., None])
-    return ImplicitSurface(vector(prims.center[k]), size=radius)
+def sphere_surface(sphere: Sequence[Vector]) -> ImplicitSurface:
+    center, (radius, *_) = sphere
+    return ImplicitSurface(center, size=radius)
 
 
-def ellipsoid_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+def ellipsoid_surface(affine: Sequence[Vector]) -> ImplicitSurface:
     """In object space scaled by the determinant; the rows are those of the adjugate."""
-    columns = (vector(prims.to_world[k][..., column]) for column in range(3))
-    return ImplicitSurface(vector(prims.center[k]), *cofactors(*columns))
+    center, *columns = affine
+    return ImplicitSurface(center, *cofactors(*columns))
 
 
-def cylinder_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
-    around = ellipsoid_surface(prims, k, vector)
+def cylinder_surface(affine: Sequence[Vector]) -> ImplicitSurface:
+    around = ellipsoid_surface(affine)
     return around._replace(rows=around.rows[:2])
 
 
-def disk_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
-    around = ellipsoid_surface(prims, k, vector)
+def disk_surface(affine: Sequence[Vector]) -> ImplicitSurface:
+    around = ellipsoid_surface(affine)
     return ImplicitSurface(around.origin, around.rows[2:])
 
 
-SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, ("center", "radius"), surface=sphere_surface)
+SPHERES = ExactKind(sphere_boxes, sphere_vectors, intersect_sphere, surface=sphere_surface)
 # Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
-SEGMENTS = ExactKind(segment_boxes, prepare_segment, enter_segment, ("start", "end", "radius"))
-ELLIPSOIDS = ExactKind(
-    affine_boxes, prepare_affine, intersect_ellipsoid, ("center", "to_world"), surface=ellipsoid_surface
-)
+SEGMENTS = ExactKind(segment_boxes, segment_vectors, enter_segment)
+ELLIPSOIDS = ExactKind(affine_boxes, affine_vectors, intersect_ellipsoid, surface=ellipsoid_surface)
 OUTER_ELLIPSOIDS = ELLIPSOIDS._replace(intersect=enter_ellipsoid)
 CYLINDERS = ELLIPSOIDS._replace(intersect=intersect_cylinder, surface=cylinder_surface)
 DISKS = ELLIPSOIDS._replace(intersect=intersect_disk, surface=disk_surface)
