@@ -14,6 +14,7 @@ from mitsuba_ref.hard.swept_families import (
     OFFSET,
     TENFOLD,
     TINY,
+    UP_TO_ONE,
     batch,
     decades,
     directions,
@@ -97,18 +98,16 @@ SPAWNED: tuple[Family, ...] = (
         of_size,
         "radius, scene units",
         SIZES,
-        1.0,
         fits_float32=False,  # Mitsuba takes a sphere of radius 5e-13 for a stretched one
         spawns=True,
     ),
-    Family("spawn-offset", "how far from the origin rays leave", away, OFFSET, TENFOLD, 1.0, spawns=True),
+    Family("spawn-offset", "how far from the origin rays leave", away, OFFSET, TENFOLD, spawns=True),
     Family(
         "spawn-grazing",
         "how nearly rays leave a sphere or two triangles along them",
         grazing_mirrors,
         ANGLE,
-        (*TINY[1:], 1.0),
-        1.0,
+        UP_TO_ONE[1:],
         spawns=True,
     ),
 )

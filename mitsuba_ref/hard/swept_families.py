@@ -258,6 +258,7 @@ def decades(*exponents: int) -> tuple[float, ...]:
 
 TENFOLD = decades(*range(8))
 TINY = decades(*range(-8, 0))
+UP_TO_ONE = (*TINY, 1.0)
 MESH_SCALES = decades(-20, -16, -14, -13, -12, -11, -9, -6, -3, 0, 3, 6, 9, 11, 12, 13, 14, 16, 18)
 SPHERE_SCALES = decades(-30, -24, -20, -19, -17, -15, -12, -8, -4, 0, 4, 8, 12, 15, 17, 18, 19, 20, 24, 30)
 LENGTHS = decades(-36, -30, -25, -20, -15, -10, -5, -3, 0, 3, 5, 10, 15, 18, 20, 25, 30, 36)
@@ -274,7 +275,6 @@ SWEPT: tuple[Family, ...] = (
         partial(scaled, icosphere),
         "radius, scene units",
         MESH_SCALES,
-        1.0,
         fits_float32=False,  # Mitsuba's normals of smaller triangles than 1e-10 are infinite
     ),
     Family(
@@ -283,7 +283,6 @@ SWEPT: tuple[Family, ...] = (
         partial(scaled, ball),
         "radius of the sphere, scene units",
         SPHERE_SCALES,
-        1.0,
         fits_float32=False,  # Mitsuba takes a sphere of radius 1e-24 for a stretched one
     ),
     Family(
@@ -292,9 +291,8 @@ SWEPT: tuple[Family, ...] = (
         partial(offset, icosphere),
         OFFSET,
         (*TENFOLD[:-1], 3e6, 1e7),
-        1.0,
     ),
-    Family("offset-sphere", "how far from the origin a sphere is", partial(offset, ball), OFFSET, TENFOLD, 1.0),
+    Family("offset-sphere", "how far from the origin a sphere is", partial(offset, ball), OFFSET, TENFOLD),
     Family(
         "distance-triangle",
         "how far rays come to a triangle",
@@ -312,15 +310,10 @@ SWEPT: tuple[Family, ...] = (
         10.0,
     ),
     Family(
-        "grazing-rectangle",
-        "rays that run nearly along two triangles",
-        partial(grazing, "rectangle"),
-        ANGLE,
-        (*TINY, 1.0),
-        1.0,
+        "grazing-rectangle", "rays that run nearly along two triangles", partial(grazing, "rectangle"), ANGLE, UP_TO_ONE
     ),
-    Family("grazing-disk", "rays that run nearly along a disk", partial(grazing, "disk"), ANGLE, (*TINY, 1.0), 1.0),
-    Family("sliver", "how thin a triangle is", sliver, "height over base", (*TINY[1:], 1.0), 1.0),
+    Family("grazing-disk", "rays that run nearly along a disk", partial(grazing, "disk"), ANGLE, UP_TO_ONE),
+    Family("sliver", "how thin a triangle is", sliver, "height over base", UP_TO_ONE[1:]),
     Family(
         "tangency",
         "how nearly rays touch a sphere's silhouette",
@@ -347,15 +340,14 @@ SWEPT: tuple[Family, ...] = (
         0.0,
         closed=True,
     ),
-    Family("length-mesh", "how long d is, at triangles", partial(of_length, icosphere), "length of d", LENGTHS, 1.0),
-    Family("length-sphere", "how long d is, at a sphere", partial(of_length, ball), "length of d", LENGTHS, 1.0),
+    Family("length-mesh", "how long d is, at triangles", partial(of_length, icosphere), "length of d", LENGTHS),
+    Family("length-sphere", "how long d is, at a sphere", partial(of_length, ball), "length of d", LENGTHS),
     Family(
         "axis",
         "rays inside a cylinder, nearly along its axis",
         along_cylinder,
         "angle between ray and axis, radians",
-        (*TINY[1:], 1.0),
-        1.0,
+        UP_TO_ONE[1:],
     ),
     Family(
         "condition",
@@ -363,7 +355,6 @@ SWEPT: tuple[Family, ...] = (
         stretched_sphere,
         "condition of to_world",
         (1.0, 3.0, *TENFOLD[1:-1]),
-        1.0,
     ),
     Family(
         "shadow-sphere",

@@ -9,11 +9,12 @@ import numpy as np
 from caster.shapes.cylinder import Cylinder, Cylinders
 from mitsuba_ref.error_model.defect_conditions import (
     ALONG_AXIS_SINE,
-    FAR_IN_SIZES,
     STARTS_ON_CURVED,
     STRETCHED,
     DefectView,
     KnownDefect,
+    far_from_origin,
+    small_and_far,
 )
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point
 from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
@@ -118,18 +119,14 @@ def view_cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) ->
 
 
 TANGENT = KnownDefect(
-    55, "a cylinder that a ray touches along its wall, exactly", 6, "missed", lambda m: "tangent" in m.where
+    55, "a cylinder that a ray touches along its wall, exactly", 6, lambda m: "tangent" in m.where, "missed"
 )
-RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, "missed", lambda m: "rim" in m.where)
+RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, lambda m: "rim" in m.where, "missed")
 ALONG_AXIS = KnownDefect(
-    53, "a ray nearly along the axis of a cylinder", 14, "either", lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
+    53, "a ray nearly along the axis of a cylinder", 14, lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
 )
-THIN_AND_FAR = KnownDefect(
-    57, "a cylinder that is thin and far away", 16, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
-)
-FAR_FROM_ORIGIN = KnownDefect(
-    61, "a cylinder far from the origin", 22, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
-)
+THIN_AND_FAR = KnownDefect(57, "a cylinder that is thin and far away", 16, small_and_far)
+FAR_FROM_ORIGIN = KnownDefect(61, "a cylinder far from the origin", 22, far_from_origin)
 
 CYLINDERS = PrimitiveReference(
     Cylinders,

@@ -11,7 +11,14 @@ import numpy as np
 from caster.geometry.mesh_files import load_points
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
-from mitsuba_ref.error_model.defect_conditions import FAR_IN_SIZES, STARTS_ON_CURVED, STRETCHED, DefectView, KnownDefect
+from mitsuba_ref.error_model.defect_conditions import (
+    FAR_IN_SIZES,
+    STARTS_ON_CURVED,
+    STRETCHED,
+    DefectView,
+    KnownDefect,
+    small_and_far,
+)
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
@@ -183,17 +190,14 @@ TANGENT = KnownDefect(
     4,
     "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
     5,
-    "missed",
     lambda m: "tangent" in m.where,
+    "missed",
 )
-SMALL_AND_FAR = KnownDefect(
-    2, "a sphere that is small and far away", 17, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
-)
+SMALL_AND_FAR = KnownDefect(2, "a sphere that is small and far away", 17, small_and_far)
 FAR_FROM_ORIGIN = KnownDefect(
     9,
     "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
     19,
-    "either",
     lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
 )
 DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)

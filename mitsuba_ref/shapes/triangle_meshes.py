@@ -23,7 +23,6 @@ from caster.shapes.torus import Torus
 from caster.shapes.triangle import Triangle
 from mitsuba_ref.error_model.defect_conditions import (
     COLLINEAR_HEIGHT_RATIO,
-    FAR_IN_SIZES,
     GRAZING_COSINE,
     NEARLY_EDGE_ON_COSINE,
     SLIVER_HEIGHT_RATIO,
@@ -31,6 +30,8 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
     abs_cosine,
+    far_from_origin,
+    small_and_far,
 )
 from mitsuba_ref.error_model.independent_transform import (
     ExpectedNumbers,
@@ -129,47 +130,38 @@ def corners_by_barycentrics(part: Triangles, k: np.ndarray, weights: np.ndarray,
 
 
 NO_AREA = KnownDefect(
-    21, "a triangle without area that Embree's robust mode hits nevertheless", 3, "named", lambda m: m.without_area
+    21, "a triangle without area that Embree's robust mode hits nevertheless", 3, lambda m: m.without_area, "named"
 )
 BEYOND_CORNERS = KnownDefect(
     28,
     "a triangle nearly edge-on: Embree's robust mode accepts a ray beyond an edge, with a t beyond the corners",
     4,
-    "named",
     lambda m: m.beyond_corners and m.cosine < NEARLY_EDGE_ON_COSINE,
+    "named",
 )
 VERTEX = KnownDefect(
     16,
     "a ray exactly through the corner of a mesh: Embree's robust mode misses some",
     7,
-    "missed",
     lambda m: "vertex" in m.where,
+    "missed",
 )
 COLLINEAR = KnownDefect(
     22,
     "a triangle whose corners are in a line up to rounding",
     10,
-    "either",
     lambda m: m.slenderness < COLLINEAR_HEIGHT_RATIO and m.nearly,
 )
-SLIVER = KnownDefect(
-    19, "a sliver of a triangle", 11, "either", lambda m: m.slenderness < SLIVER_HEIGHT_RATIO and m.nearly
-)
-GRAZED = KnownDefect(
-    26, "a triangle at grazing incidence", 12, "either", lambda m: m.cosine < GRAZING_COSINE and m.nearly
-)
-SMALL_AND_FAR = KnownDefect(
-    35, "a triangle that is small and far away", 18, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
-)
-FAR_FROM_ORIGIN = KnownDefect(
-    34, "a triangle far from the origin", 20, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
-)
+SLIVER = KnownDefect(19, "a sliver of a triangle", 11, lambda m: m.slenderness < SLIVER_HEIGHT_RATIO and m.nearly)
+GRAZED = KnownDefect(26, "a triangle at grazing incidence", 12, lambda m: m.cosine < GRAZING_COSINE and m.nearly)
+SMALL_AND_FAR = KnownDefect(35, "a triangle that is small and far away", 18, small_and_far)
+FAR_FROM_ORIGIN = KnownDefect(34, "a triangle far from the origin", 20, far_from_origin)
 LEAK = KnownDefect(
     15,
     "a ray between two triangles: Embree's default mode loses some (mitsuba3 #1149); --as-in-file judges that mode",
     23,
-    "missed",
     lambda m: not m.robust and m.nearly,
+    "missed",
 )
 
 TRIANGLES = PrimitiveReference(
