@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.defect_conditions import (
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point
 from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
 from mitsuba_ref.error_model.tolerances import U32
-from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
+from mitsuba_ref.oracle.exact_kinds import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import intersect_round, on_circle, ours_through_object_space

@@ -27,7 +27,7 @@ from mitsuba_ref.error_model.intersections import (
     without_edges,
     without_float_warnings,
 )
-from mitsuba_ref.oracle.exact_quadrics import DISKS as EXACT_DISKS
+from mitsuba_ref.oracle.exact_kinds import DISKS as EXACT_DISKS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (

@@ -23,7 +23,7 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
 )
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.oracle.exact_quadrics import SEGMENTS as EXACT
+from mitsuba_ref.oracle.exact_kinds import SEGMENTS as EXACT
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
 from mitsuba_ref.shapes.sphere import unit_sphere_points

@@ -29,7 +29,7 @@ from mitsuba_ref.error_model.intersections import (
     without_edges,
     without_float_warnings,
 )
-from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
+from mitsuba_ref.oracle.exact_kinds import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import surface_errors
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, unit_vector_rounding_to

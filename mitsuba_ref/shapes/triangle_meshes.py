@@ -14,13 +14,7 @@ import numpy as np
 from caster.description.fields import Shape
 from caster.geometry.packing import Triangles
 from caster.geometry.world_space import LARGEST_COORDINATE
-from caster.shapes.cube import Cube, Rectangle
-from caster.shapes.heightfield import Heightfield
-from caster.shapes.icosphere import Icosphere
-from caster.shapes.mesh import Mesh
-from caster.shapes.teapot import Teapot
-from caster.shapes.torus import Torus
-from caster.shapes.triangle import Triangle
+from caster.shapes import Cube, Heightfield, Icosphere, Mesh, Rectangle, Teapot, Torus, Triangle
 from mitsuba_ref.error_model.defect_conditions import (
     COLLINEAR_HEIGHT_RATIO,
     GRAZING_COSINE,
