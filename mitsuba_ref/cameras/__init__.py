@@ -4,7 +4,7 @@ A plug-in (mitsuba_ref/shapes/__init__.py) adds a camera by `register`.
 """
 
 from caster.description.fields import Camera, Description
-from mitsuba_ref.cameras import camera_reference
+from mitsuba_ref.cameras import references
 from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange
 from mitsuba_ref.scene_xml.elements import MissingReferenceError, missing_reference
 
@@ -26,11 +26,11 @@ def reference_of_camera(camera: Camera) -> CameraReference:
 
 
 for _reference in (
-    camera_reference.PINHOLE,
-    camera_reference.ORTHOGRAPHIC,
-    camera_reference.FISHEYE,
-    camera_reference.PANORAMA,
-    camera_reference.PARABOLIC,
-    camera_reference.RAY,
+    references.PINHOLE,
+    references.ORTHOGRAPHIC,
+    references.FISHEYE,
+    references.PANORAMA,
+    references.PARABOLIC,
+    references.RAY,
 ):
     register(_reference)

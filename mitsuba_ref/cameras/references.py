@@ -1,0 +1,179 @@
+"""Every camera: pinhole and orthographic, for which Mitsuba has a sensor; the rays of all others are sent to it."""
+
+from collections.abc import Callable, Mapping
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, Ray
+from caster.description.fields import Camera
+from caster.scene.model import Film
+from mitsuba_ref.cameras.camera_reference import (
+    CameraRays,
+    CameraReference,
+    ClipRange,
+    Fields,
+    RandomView,
+    camera_axes,
+    clip_planes,
+    eye_origins,
+    rays_from_eye,
+    sensor_pose,
+    to_world_directions,
+)
+from mitsuba_ref.error_model.intersections import stacked_columns
+from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
+
+
+def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
+    """Half width and half height of the image plane at distance 1."""
+    tangent = float(np.tan(np.deg2rad(camera.fov / 2.0)))
+    width, height = float(film.width), float(film.height)
+    side = {
+        "x": width,
+        "y": height,
+        "smaller": min(width, height),
+        "larger": max(width, height),
+        "diagonal": float(np.hypot(width, height)),
+    }[camera.fov_axis]
+    return tangent * width / side, tangent * height / side
+
+
+def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Rays from the eye through the image plane; near and far are planes, so limits of t vary with the direction."""
+    across, above = half_extents(camera, film)
+    px, py = camera.principal_point
+    right = (2.0 * (x / film.width + px) - 1.0) * across
+    up = (1.0 - 2.0 * (y / film.height + py)) * above
+    local = stacked_columns(right, up, np.ones(len(x)))
+    length = np.sqrt(right * right + up * up + 1.0)
+    far = np.inf if camera.far is None else camera.far
+    return CameraRays(
+        eye_origins(camera, len(x)), to_world_directions(camera, local), camera.near * length, far * length
+    )
+
+
+def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[np.ndarray, np.ndarray]) -> XmlElement:
+    sensor = Element("sensor", type=kind)
+    for name, value in numbers.items():
+        SubElement(sensor, "float", name=name, value=repr(float(value)))
+    sensor.append(matrix_element(*pose))
+    return sensor
+
+
+def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement:
+    px, py = camera.principal_point
+    numbers = {
+        "fov": float(np.rad2deg(2.0 * np.arctan(half_extents(camera, film)[0]))),
+        **clip_planes(camera, limits),
+        "principal_point_offset_x": px,
+        "principal_point_offset_y": py,
+    }
+    sensor = sensor_xml("perspective", numbers, sensor_pose(camera))
+    sensor.insert(0, Element("string", name="fov_axis", value="x"))
+    return sensor
+
+
+def pinhole_amplification(camera: Pinhole, film: Film) -> float:
+    """Film positions are rounded when multiplied by the tangent, and offsets when added."""
+    px, py = camera.principal_point
+    return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
+
+
+def pinhole_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    planes = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.3 else {}
+    if rng.random() < 0.2:
+        planes["far"] = float(size * rng.uniform(2.0, 9.0))
+    fov = float(rng.choice([90.0, rng.uniform(5.0, 150.0)]))
+    return {**view(), "fov": fov, **planes}
+
+
+PINHOLE = CameraReference(
+    Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields, covers_film=True
+)
+
+
+def orthographic_rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Parallel rays from a window of the camera's width, with square pixels."""
+    pixel = camera.width / film.width
+    right, up, forward = camera_axes(camera)
+    o = eye_origins(camera, len(x))
+    o += np.outer((x - film.width / 2.0) * pixel, right) + np.outer((film.height / 2.0 - y) * pixel, up)
+    n, far = len(x), np.inf if camera.far is None else camera.far
+    return CameraRays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
+
+
+def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
+    return sensor_xml("orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0))
+
+
+def orthographic_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    """Widths such that a pixel is 1/8 to 1/2 of a shape, so that many rays hit edges of lattice shapes exactly."""
+    width = size * float(2.0 ** rng.integers(-1, 3))
+    near = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.2 else {}
+    return {**view(), "width": width, **near}
+
+
+ORTHOGRAPHIC = CameraReference(
+    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields, covers_film=True
+)
+
+
+def circle_rays(
+    camera: Camera, film: Film, x: np.ndarray, y: np.ndarray, theta: Callable[[np.ndarray], np.ndarray]
+) -> CameraRays:
+    """An image within a circle. theta: the angle from the axis at distances from the centre, in radii of the circle."""
+    radius = min(film.width, film.height) / 2.0
+    right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
+    distance, phi = np.hypot(right, up), np.arctan2(up, right)
+    polar = theta(distance)
+    sine = np.sin(polar)
+    local = np.column_stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(polar)])
+    return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
+
+
+def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
+    return circle_rays(camera, film, x, y, lambda distance: np.deg2rad(camera.fov) / 2.0 * distance)
+
+
+def random_fisheye(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    return {**view(), "fov": float(rng.uniform(60.0, 360.0))}
+
+
+FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
+
+
+def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Equirectangular: a full turn across the film, half a turn from top to bottom, the view in the middle."""
+    azimuth = 2.0 * np.pi * (x - film.width / 2.0) / film.width
+    polar = np.pi * y / film.height
+    local = np.column_stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)])
+    return rays_from_eye(camera, to_world_directions(camera, local))
+
+
+PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
+
+
+def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Reflection in a paraboloid: tan(theta / 2) is the distance from the centre of the image, in radii."""
+    return circle_rays(camera, film, x, y, lambda distance: 2.0 * np.arctan(distance))
+
+
+PARABOLIC = CameraReference(Parabolic, parabolic_rays)
+
+
+def ray_rays(camera: Ray, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """The same ray at every film position."""
+    count = len(x)
+    o, d = (np.tile(np.array(v, np.float64), (count, 1)) for v in (camera.origin, camera.direction))
+    t_max = np.inf if camera.t_max is None else camera.t_max
+    return CameraRays(o, d, np.zeros(count), np.full(count, t_max))
+
+
+def random_ray(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    fields = view()
+    return {"origin": fields["eye"], "direction": fields["direction"]}
+
+
+RAY = CameraReference(Ray, ray_rays, random_fields=random_ray)
