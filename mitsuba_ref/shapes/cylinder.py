@@ -16,7 +16,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     far_from_origin,
     small_and_far,
 )
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points
 from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
 from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.oracle.exact_kinds import CYLINDERS as EXACT_CYLINDERS
@@ -78,12 +78,12 @@ LARGEST_HANDED_CONDITION = 2.0**20
 def expected_cylinder(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """Base, axis, handedness, and A A^T, which does not depend on where around the axis the angle starts."""
     linear, packed = shape.matrix[:3, :3], part.to_world[0]
-    p0, axis = np.array(shape.p0), np.subtract(shape.p1, shape.p0)
+    axis = np.subtract(shape.p1, shape.p0)
     ends = np.abs(shape.p0) + np.abs(shape.p1)
     across = np.eye(3) - np.outer(axis, axis) / np.dot(axis, axis)
     own = shape.radius**2 * across + np.outer(axis, axis)
     reach = np.abs(linear).sum(axis=1) * (shape.radius + ends.max())
-    yield expected_point(shape, "p0", part.center[0], p0)
+    yield expected_points(shape, "p0", part.center, np.array([shape.p0]))
     yield ExpectedNumbers("axis", packed[:, 2], linear @ axis, np.abs(linear) @ ends)
     yield ExpectedNumbers("radius", packed @ packed.T, linear @ own @ linear.T, np.outer(reach, reach))
     hands = np.sign(np.linalg.det(packed)), np.sign(np.linalg.det(linear))

@@ -14,7 +14,7 @@ from caster.description.transform import dot_rows, product, row_lengths, sine_an
 from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point, transformed_normals
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points, transformed_normals
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -224,7 +224,7 @@ def describe_plane(part: Planes, k: int) -> Fields:
 def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """A point of the plane, and its normal transformed by the matrix of cofactors."""
     point = shape.point if shape.point is not None else np.multiply(shape.offset, shape.normal)
-    yield expected_point(shape, "point", part.point[0], np.array(point))
+    yield expected_points(shape, "point", part.point, np.array([point]))
     normal, size = transformed_normals(shape.matrix, np.array([shape.normal]))
     yield ExpectedNumbers("normal", part.normal, normal, size)
 

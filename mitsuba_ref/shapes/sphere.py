@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     KnownDefect,
     small_and_far,
 )
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -123,9 +123,8 @@ def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     else:
         centers, own = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
         radii = np.full(len(centers), shape.radius or 1.0) if own is None else np.array(own)
-    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
-    size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
-    yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)
+    linear = shape.matrix[:3, :3]
+    yield expected_points(shape, "center", part.center, centers)
     if hasattr(part, "radius"):
         yield from similarity_numbers(linear, radii, part)
     else:
@@ -291,9 +290,8 @@ def enter_ellipsoid(*arguments: Any, float32: bool = True) -> tuple[Intersection
 def expected_ellipsoids(shape: EllipsoidCloud, part: OuterEllipsoids) -> Iterator[ExpectedNumbers]:
     """Centres, and A A^T, the ellipsoid itself: it is the same for mirrored axes or in another order."""
     centers, scales, quaternions = shape.ellipsoids()
-    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
-    size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
-    yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)
+    linear = shape.matrix[:3, :3]
+    yield expected_points(shape, "center", part.center, centers)
     unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
     # q p q* of each axis p: p + 2 w (v x p) + 2 v x (v x p)
     v, w = unit[:, None, :3], unit[:, None, 3:]

@@ -32,6 +32,7 @@ from mitsuba_ref.error_model.independent_transform import (
     ExpectedPacking,
     angle_weighted_normals,
     exactly,
+    expected_points,
     transformed_normals,
 )
 from mitsuba_ref.error_model.intersections import by_normal
@@ -189,16 +190,14 @@ def mesh_to_xml(out: ShapeWriter, shape: Any, part: Any) -> list[XmlElement]:
 def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """Corners, faces with their orientation, uv and vertex normals."""
     given = shape.mesh()
-    linear = shape.matrix[:3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):
-        corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
-        size = np.abs(given.vertices) @ np.abs(linear.T) + np.abs(shape.matrix[:3, 3])
+    vertices = expected_points(shape, "vertices", part.vertices, given.vertices)
+    corners, size = vertices.expected, vertices.size
     # A corner that is not finite or too far out is replaced by any other, and its faces become points.
     usable = (np.abs(corners) < LARGEST_COORDINATE).all(axis=1)
     corners[~usable], size[~usable] = part.vertices[~usable], 0.0
-    yield ExpectedNumbers("vertices", part.vertices, corners, size)
+    yield vertices
     yield exactly("usable vertices", (np.abs(part.vertices) < LARGEST_COORDINATE).all(axis=1), np.ones(len(corners)))
-    mirrored = np.linalg.slogdet(linear)[0] < 0.0
+    mirrored = np.linalg.slogdet(shape.matrix[:3, :3])[0] < 0.0
     faces = given.faces[:, [0, 2, 1]] if mirrored else given.faces.copy()
     rejected = ~usable[faces].all(axis=1)
     faces[rejected] = part.faces[rejected, :1]
