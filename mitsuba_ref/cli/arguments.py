@@ -96,7 +96,15 @@ def numbers(text: str) -> range:
 
 # ---- options of several commands ----
 
-METAVARS = {OutputFolder: "DIR", OutputFile: "FILE", positive_int: "N", whole: "N", seconds: "TIME", deadline: "TIME"}
+METAVARS = {
+    InputPath: "FILE",
+    OutputFolder: "DIR",
+    OutputFile: "FILE",
+    positive_int: "N",
+    whole: "N",
+    seconds: "TIME",
+    deadline: "TIME",
+}
 
 
 def adder(place: argparse._ActionsContainer) -> Callable[..., argparse.Action]:
@@ -186,27 +194,65 @@ def add_reference(parser: argparse.ArgumentParser, *, several: bool = False) -> 
     """Add --mitsuba, --variant, --as-in-file. several: --mitsuba any number of times."""
     add = adder(parser.add_argument_group("the reference (mitsuba-ref docs versions)"))
     if several:
-        help_ = "a Python interpreter with Mitsuba 3.6 or later, twice; once: beside the installed Mitsuba"
-        add("--mitsuba", str, help_, action="append", dest="interpreters", metavar="PYTHON", required=True)
+        add(
+            "--mitsuba",
+            str,
+            "a Python interpreter with Mitsuba 3.6 or later, twice; once: beside the installed Mitsuba",
+            action="append",
+            dest="interpreters",
+            metavar="PYTHON",
+            required=True,
+        )
     else:
-        help_ = f"a Python interpreter whose Mitsuba, 3.6 or later, is the reference; default: ${PYTHON_VARIABLE}"
-        add("--mitsuba", str, help_, action=SetVariable, variable=PYTHON_VARIABLE, metavar="PYTHON")
-    help_ = f"Mitsuba's variant, such as llvm_ad_rgb or cuda_ad_rgb; default: ${VARIANT_VARIABLE}, or by the shapes"
-    add("--variant", str, help_, action=SetVariable, variable=VARIANT_VARIABLE, metavar="VARIANT")
-    help_ = "Embree's robust mode only where the scene's own file requests it; else meshes are always closed"
-    add("--as-in-file", str, help_, action=SetVariable, variable=AS_IN_FILE_VARIABLE, nargs=0)
+        add(
+            "--mitsuba",
+            str,
+            f"a Python interpreter whose Mitsuba, 3.6 or later, is the reference; default: ${PYTHON_VARIABLE}",
+            action=SetVariable,
+            variable=PYTHON_VARIABLE,
+            metavar="PYTHON",
+        )
+    add(
+        "--variant",
+        str,
+        f"Mitsuba's variant, such as llvm_ad_rgb or cuda_ad_rgb; default: ${VARIANT_VARIABLE}, or by the shapes",
+        action=SetVariable,
+        variable=VARIANT_VARIABLE,
+        metavar="VARIANT",
+    )
+    add(
+        "--as-in-file",
+        str,
+        "Embree's robust mode only where the scene's own file requests it; else meshes are always closed",
+        action=SetVariable,
+        variable=AS_IN_FILE_VARIABLE,
+        nargs=0,
+    )
 
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
     add = adder(parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more))
-    map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
-    add("--map", str, map_help, action="append", default=[], metavar="OURS=THEIRS")
-    depths = ("distance", "z", "near")
-    depth_help = "what depth is: along the ray (default), along z, or along the ray from the near plane"
-    add("--depth", str, depth_help, choices=depths)
-    miss_help = "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf"
-    add("--miss", str, miss_help, metavar="VALUE")
+    add(
+        "--map",
+        str,
+        "a channel or group by its name there, such as depth=range or normal=facing; any number of them",
+        action="append",
+        default=[],
+        metavar="OURS=THEIRS",
+    )
+    add(
+        "--depth",
+        str,
+        "what depth is: along the ray (default), along z, or along the ray from the near plane",
+        choices=("distance", "z", "near"),
+    )
+    add(
+        "--miss",
+        str,
+        "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf",
+        metavar="VALUE",
+    )
     return add
 
 
@@ -226,8 +272,7 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse
     add = adder(parser.add_argument_group("results"))
     add("--json", OutputFile, "write the verdict as JSON")
     add("--junit", OutputFile, "write the verdict as JUnit XML")
-    help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
-    add("--summary-md", OutputFile, help_)
+    add("--summary-md", OutputFile, "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY")
     return add
 
 
@@ -302,24 +347,37 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_opening(parser)
     add = adder(parser)
     add("--shard", shard, "judge part I of N of the scenes", metavar="I/N")
-    help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
-    add("--thorough", bool, help_)
+    add(
+        "--thorough",
+        bool,
+        "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels",
+    )
     add_bounces(add, "also judge reflected, refracted and shadow rays, to this depth")
     add_timeout(parser)
-    help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
-    add("--no-store", bool, help_, dest="store", action="store_false")
+    add(
+        "--no-store",
+        bool,
+        "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs",
+        dest="store",
+        action="store_false",
+    )
     add_report_files(parser)
     add_reference(parser)
     add = adder(parser.add_argument_group("pass or fail"))
-    help_ = "known failures, as --write-expected writes them: the run fails only by others, and names fixed ones"
-    add("--expected", InputPath, help_, metavar="FILE")
-    help_ = "write the failures of this run as a file for --expected"
-    add("--write-expected", OutputFile, help_)
+    add(
+        "--expected",
+        InputPath,
+        "known failures, as --write-expected writes them: the run fails only by others, and names fixed ones",
+    )
+    add("--write-expected", OutputFile, "write the failures of this run as a file for --expected")
     add_skip_unsupported(add, "scenes")
-    help_ = "fail a Mitsuba file of which not every shape is judged"
-    add("--strict", bool, help_, action="store_const", const=True)
-    help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
-    add("--min-scenes", positive_int, help_, default=0)
+    add("--strict", bool, "fail a Mitsuba file of which not every shape is judged", action="store_const", const=True)
+    add(
+        "--min-scenes",
+        positive_int,
+        "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported",
+        default=0,
+    )
     add("--maxfail", positive_int, "stop after so many scenes that fail")
     add_candidate(parser)
     add_reading(parser, "; with --candidate")
@@ -348,20 +406,44 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
-    add("--scene", InputPath, help_, metavar="SCENE", required=True)
-    help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
-    add("--hits", InputPath, help_, metavar="FILE")
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
-    add("--rays", InputPath, help_, metavar="FILE", required=True)
-    help_ = "judge where these rays start, in place of hits: .npz of `rays` and of `parent`, the rows of --rays after "
-    help_ += "whose hits they go on"
-    add("--spawned", InputPath, help_, metavar="FILE")
-    help_ = "let the rays of --spawned start where a rule says: MODULE:FUNCTION of (points, normals, directions), or "
-    help_ += "mitsuba, pbrt, constant"
-    add("--spawn", str, help_, metavar="RULE")
-    help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
-    add("--precision", str, help_, metavar="PRECISION", choices=PRECISIONS)
+    add(
+        "--scene",
+        InputPath,
+        "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)",
+        metavar="SCENE",
+        required=True,
+    )
+    add(
+        "--hits",
+        InputPath,
+        ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)",
+    )
+    add(
+        "--rays",
+        InputPath,
+        ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)",
+        required=True,
+    )
+    add(
+        "--spawned",
+        InputPath,
+        "judge where these rays start, in place of hits: .npz of `rays` and of `parent`, the rows of --rays after "
+        "whose hits they go on",
+    )
+    add(
+        "--spawn",
+        str,
+        "let the rays of --spawned start where a rule says: MODULE:FUNCTION of (points, normals, directions), or "
+        "mitsuba, pbrt, constant",
+        metavar="RULE",
+    )
+    add(
+        "--precision",
+        str,
+        "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n",
+        metavar="PRECISION",
+        choices=PRECISIONS,
+    )
     add("--rows", row_range, "judge these rays alone: one, or from A up to B", metavar="A:B")
     add_mesh_dirs(parser)
     add_reference(parser)
@@ -384,9 +466,15 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = adder(parser)
     add("-o --output", str, ".npz, or .npy for the rows alone; with --bounces a folder", metavar="RAYS", required=True)
-    help_ = "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
-    help_ += "silhouettes, surface (from surfaces), random"
-    add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS, default="camera")
+    add(
+        "--kind",
+        str,
+        "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
+        "silhouettes, surface (from surfaces), random",
+        metavar="KIND",
+        choices=RAY_KINDS,
+        default="camera",
+    )
     add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
     add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
     add("--light", int, "number of the light of shadow rays; default 0", metavar="N", default=0)
@@ -397,8 +485,7 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("ours", InputPath, metavar="OURS.exr")
     add("reference", InputPath, metavar="REF.exr")
-    ignore = "leave a channel or group of them out"
-    add("--ignore", str, ignore, action="append", default=[], metavar="CHANNEL")
+    add("--ignore", str, "leave a channel or group of them out", action="append", default=[], metavar="CHANNEL")
     add("--other-scene", bool, "compare images of different scenes, too")
     add = adder(parser.add_argument_group("results"))
     add("-o --output", OutputFile, "write the differences, and a class for each pixel", metavar="DIFF.exr")
@@ -426,8 +513,9 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
 def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
     """Add the options of both: scenes, and the folder of approved images."""
     add_selection(parser)
-    references = "the folder of approved images, NAME.exr for each scene"
-    adder(parser)("--references", folder, references, metavar="DIR", required=True)
+    adder(parser)(
+        "--references", folder, "the folder of approved images, NAME.exr for each scene", metavar="DIR", required=True
+    )
 
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
@@ -442,7 +530,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    add("file", InputPath, "Mitsuba's .xml, or .txt of MIT 6.837", metavar="FILE")
+    add("file", InputPath, "Mitsuba's .xml, or .txt of MIT 6.837")
     add("-o --output", OutputFile, "the scene file to write", metavar="SCENE.toml", required=True)
     add_opening(parser)
     add("--size", int, "film in pixels, instead of the file's own", nargs=2, metavar=("W", "H"))
@@ -477,15 +565,28 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--time", seconds, "stop after this time, such as 60s, 5m, 1h; default: 60s")
     add("--examples", numbers, "number of examples, or those from A to B", metavar="N|A..B")
     add("--seed", whole, "example i of seed S is always the same; default: 0", metavar="SEED", default=0)
-    help_ = "only this family of scenes; may be given several times"
-    add("--family", str, help_, metavar="NAME", action="append", default=[])
-    help_ = "where failing scenes are kept; default: fuzz-failures"
-    add("--out", OutputFolder, help_, default="fuzz-failures")
-    help_ = "findings of one kind in one family that are shrunk and kept; all are counted; default: 3"
-    add("--keep", whole, help_, default=3)
+    add(
+        "--family",
+        str,
+        "only this family of scenes; may be given several times",
+        metavar="NAME",
+        action="append",
+        default=[],
+    )
+    add("--out", OutputFolder, "where failing scenes are kept; default: fuzz-failures", default="fuzz-failures")
+    add(
+        "--keep",
+        whole,
+        "findings of one kind in one family that are shrunk and kept; all are counted; default: 3",
+        default=3,
+    )
     add_json(parser)
-    help_ = "one scene in N, on average, gets --thorough checks and is compared with Mitsuba; 0: none; default: 16"
-    add("--judge-every", whole, help_, default=16)
+    add(
+        "--judge-every",
+        whole,
+        "one scene in N, on average, gets --thorough checks and is compared with Mitsuba; 0: none; default: 16",
+        default=16,
+    )
     add("--replay", InputPath, "check kept scenes again, and nothing else", metavar="FILE|DIR")
     add("--rays", positive_int, "rays aimed at each scene; default: 40", default=40)
     add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
@@ -496,27 +597,37 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("--rays", positive_int, "rays of each setting; default: 400, watertight 10000")
     add("--seed", whole, "of the rays; default: 0", metavar="SEED", default=0)
-    help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
-    add("--out", OutputFolder, help_, default="stress-failures")
+    add(
+        "--out",
+        OutputFolder,
+        "where the first wrong ray of each setting is kept, as a scene; default: stress-failures",
+        default="stress-failures",
+    )
     add_json(parser)
     add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
-    help_ = "in place of ray casters, judge a rule of where rays start: of (points, normals, directions)"
-    add("--spawn", str, help_, metavar="MODULE:FUNCTION")
+    add(
+        "--spawn",
+        str,
+        "in place of ray casters, judge a rule of where rays start: of (points, normals, directions)",
+        metavar="MODULE:FUNCTION",
+    )
     add_skip_unsupported(add, "families")
 
 
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add_item_selection(parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names")
     add = adder(parser)
-    help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
-    add("--aov", str, help_, metavar="AOV,...", action="append")
+    add(
+        "--aov",
+        str,
+        "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal",
+        metavar="AOV,...",
+        action="append",
+    )
     add("--size", positive_int, f"pixels a side; default: {DEFAULT_SIZE}", default=DEFAULT_SIZE)
-    help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
-    add("--alternations", positive_int, help_, default=DEFAULT_ALTERNATIONS)
+    add("--alternations", positive_int, f"turns of each; default: {DEFAULT_ALTERNATIONS}", default=DEFAULT_ALTERNATIONS)
     add("--threads", positive_int, "processors that each may use; default: all")
-    help_ = "of the rays that errors are measured on; default: 0"
-    add("--seed", whole, help_, metavar="SEED", default=0)
+    add("--seed", whole, "of the rays that errors are measured on; default: 0", metavar="SEED", default=0)
     add_json(parser)
     add_mesh_dirs(parser)
-    title = "another ray caster, which takes rays (mitsuba-ref docs candidates)"
-    add_candidate(parser, title)
+    add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
