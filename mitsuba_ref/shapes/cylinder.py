@@ -139,11 +139,5 @@ CYLINDERS = PrimitiveReference(
     defect_view=view_cylinder,
 )
 REFERENCE = ShapeReference(
-    Cylinder,
-    to_xml,
-    (CYLINDERS,),
-    expected_cylinder,
-    random_fields,
-    groups=frozenset({"quadric", "small"}),
-    analytic=True,
+    Cylinder, to_xml, (CYLINDERS,), expected_cylinder, random_fields, groups=("quadric", "small"), analytic=True
 )

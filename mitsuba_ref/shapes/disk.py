@@ -123,6 +123,4 @@ DISKS = PrimitiveReference(
     known_defects=(STARTS_ON_FLAT, RIM, GRAZED_FLAT, FAR_FROM_ORIGIN),
     defect_view=view_disk,
 )
-REFERENCE = ShapeReference(
-    Disk, to_xml, (DISKS,), expected_disk, groups=frozenset({"quadric", "flat", "small"}), analytic=True
-)
+REFERENCE = ShapeReference(Disk, to_xml, (DISKS,), expected_disk, groups=("quadric", "flat", "small"), analytic=True)

@@ -272,7 +272,7 @@ REFERENCE = ShapeReference(
     (PLANES,),
     expected_plane,
     random_fields,
-    groups=frozenset({"flat", "unbounded"}),
+    groups=("flat", "unbounded"),
     stand_in=patches,
     stand_in_note="in place of a plane Mitsuba traces a patch of triangles, which depends on the rays",
 )

@@ -111,7 +111,7 @@ class ShapeReference:
     random_fields: Callable[[Rng, bool], Fields] = no_fields
 
     # the groups that the fuzzer draws it in: "quadric", "flat", "mesh", "small" (few primitives)
-    groups: frozenset[str] = frozenset()
+    groups: tuple[str, ...] = ()
 
     # instead of being in a group: the type of a shape in whose place the fuzzer draws it once in four times
     drawn_for: str = ""

@@ -226,22 +226,10 @@ ELLIPSOIDS = PrimitiveReference(
     defect_view=view_ellipsoid,
 )
 CLOUD = ShapeReference(
-    SphereCloud,
-    to_xml,
-    (SPHERES, ELLIPSOIDS),
-    expected_spheres,
-    random_cloud,
-    groups=frozenset({"quadric"}),
-    analytic=True,
+    SphereCloud, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_cloud, groups=("quadric",), analytic=True
 )
 REFERENCE = ShapeReference(
-    Sphere,
-    to_xml,
-    (SPHERES, ELLIPSOIDS),
-    expected_spheres,
-    random_fields,
-    groups=frozenset({"quadric", "small"}),
-    analytic=True,
+    Sphere, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_fields, groups=("quadric", "small"), analytic=True
 )
 
 # Properties of Mitsuba's file; it reads those between nz and scale_0 as an attribute `exact` of the shape.

@@ -276,18 +276,18 @@ def triangle_mesh_reference(
     describes: type[Shape],
     random_fields: Callable[[Rng, bool], Fields] = no_fields,
     expected: ExpectedPacking = expected_mesh,
-    groups: frozenset[str] = frozenset({"mesh"}),
+    groups: tuple[str, ...] = ("mesh",),
 ) -> ShapeReference:
     """Reference of a shape of triangles that Mitsuba reads from a PLY file."""
     return ShapeReference(describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups)
 
 
-FLAT_AND_SMALL = frozenset({"flat", "small"})
+FLAT_AND_SMALL = ("flat", "small")
 
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
 MESH = triangle_mesh_reference(Mesh, random_mesh, expected_file_or_arrays)
 RECTANGLE = triangle_mesh_reference(Rectangle, groups=FLAT_AND_SMALL)
-CUBE = triangle_mesh_reference(Cube, groups=frozenset({"flat", "mesh"}))
+CUBE = triangle_mesh_reference(Cube, groups=("flat", "mesh"))
 ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
 TORUS = triangle_mesh_reference(Torus, random_torus)
 HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)

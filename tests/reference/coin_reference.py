@@ -98,11 +98,7 @@ COINS = PrimitiveReference(
     known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
     defect_view=defect_view,
 )
-register(
-    ShapeReference(
-        Coin, to_xml, (COINS,), expected_coin, random_fields, groups=frozenset({"flat", "small"}), analytic=True
-    )
-)
+register(ShapeReference(Coin, to_xml, (COINS,), expected_coin, random_fields, groups=("flat", "small"), analytic=True))
 
 
 def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
