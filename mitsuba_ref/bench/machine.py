@@ -7,23 +7,23 @@ from pathlib import Path
 
 from caster import __version__
 from caster.rendering.threads import core_count
+from mitsuba_ref.reference.store import machine
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.html_report import commit
-from mitsuba_ref.report.results import libllvm, versions
+from mitsuba_ref.report.results import libllvm
 
-PACKAGES = ("numpy", "numba", "mitsuba", "drjit")
 CPU_INFO = Path("/proc/cpuinfo")  # of Linux
 
 
 def machine_properties() -> dict[str, str]:
     named = re.search(r"model name\s*: (.*)", CPU_INFO.read_text(errors="replace")) if CPU_INFO.exists() else None
-    found = {
-        "processor": named[1] if named else platform.machine(),
+    return {
+        **machine(),
+        **({"processor": named[1]} if named else {}),
         "processors used": f"{core_count()} of {os.cpu_count() or 1}",
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "Python": platform.python_version(),
+        "kernel": platform.release(),
         "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
         "caster": __version__,
         "revision": commit(str(PACKAGE_PARENT)) or "unknown",
+        "libLLVM": libllvm(),
     }
-    return found | versions(*PACKAGES) | {"libLLVM": libllvm()}

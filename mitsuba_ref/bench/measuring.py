@@ -36,17 +36,48 @@ class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
     """A caster's process has ended; str() is the reason, in one line."""
 
 
-class CasterProcess:
-    """A caster's process (worker.py), which may fail, crash or hang. It stays until it is closed."""
+@dataclass(frozen=True)
+class Settings:
+    size: int = 1024
+    alternations: int = 7
+    threads: int = 1
+    seed: int = 0
 
-    def __init__(self, work: Work, environment: Mapping[str, str]) -> None:
-        with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
-            fd = notices.fileno()
-            words = [*WORKER, json.dumps(asdict(work)), str(fd)]
-            self.process = ResidentProcess(words, {**environment, "PYTHONPATH": import_path()}, pass_fds=(fd,))
+
+def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> ResidentProcess:
+    """Start the process of a caster (worker.py), which may fail, crash or hang.
+
+    folder: as `write_scene` writes it; threads: unless the caster has its own.
+    """
+    work = Work(folder, scene.workload, caster.threads or threads, caster.driver, scene.aovs, caster.options)
+    environment = {**variants.environment_for(caster.variant), "PYTHONPATH": import_path()}
+    with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
+        fd = notices.fileno()
+        return ResidentProcess([*WORKER, json.dumps(asdict(work)), str(fd)], environment, pass_fds=(fd,))
+
+
+@dataclass
+class CasterRun:
+    """One caster in one scene. After `row.why` is set it does nothing more."""
+
+    caster: TimedCaster
+    size: int  # pixels a side
+    process: ResidentProcess | None = None
+    seconds: list[float] = field(default_factory=list)
+    row: dict[str, Any] = field(default_factory=dict)
+
+    def go(self, step: Callable[..., None], *given: Any) -> None:
+        """Run a step if the process is alive; the reason is recorded if the process ends."""
+        if self.process is None or self.row.get("why"):
+            return
+        try:
+            step(self, *given)
+        except CasterEnded as end:
+            self.row["why"] = str(end)
 
     def request(self, **request: Any) -> Mapping[str, Any]:
         """The reply to {"do": ...}. Raises CasterEnded; the process is then gone, too."""
+        assert self.process is not None
         try:
             line = self.process.ask(json.dumps(request).encode(), REQUEST_TIMEOUT_S)
             reply: dict[str, Any] = json.loads(line)
@@ -58,72 +89,34 @@ class CasterProcess:
         except ValueError:
             reply = {"why": f"unexpected reply: {line[:LAST_WORDS]!r}"}
         if "why" in reply:
-            self.close()
+            self.process.close()
             raise CasterEnded(reply["why"])
         return reply
 
-    def close(self) -> None:
-        self.process.close()
-
-
-@dataclass(frozen=True)
-class Settings:
-    size: int = 1024
-    alternations: int = 7
-    threads: int = 1
-    seed: int = 0
-
-
-def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> CasterProcess:
-    """Start the process of a caster. folder: as `write_scene` writes it; threads: unless the caster has its own."""
-    threads = caster.threads or threads
-    work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
-    return CasterProcess(work, variants.environment_for(caster.variant))
-
-
-@dataclass
-class CasterRun:
-    """One caster in one scene. After `row.why` is set it does nothing more."""
-
-    caster: TimedCaster
-    size: int  # pixels a side
-    process: CasterProcess | None = None
-    seconds: list[float] = field(default_factory=list)
-    row: dict[str, Any] = field(default_factory=dict)
-
-    def go(self, step: Callable[..., None], *given: Any) -> None:
-        """Run a step if the process is alive; the reason is recorded if the process ends."""
-        if self.process is None or self.row.get("why"):
-            return
-        try:
-            step(self, self.process, *given)
-        except CasterEnded as end:
-            self.row["why"] = str(end)
-
-    def compile(self, process: CasterProcess) -> None:
+    def compile(self) -> None:
         """Build and cast for the first time; choose a film size for a slow caster."""
         first = self.caster.first
-        process.request(do="build", size=first or self.size)
-        process.request(do="cast", least=0.0)
+        self.request(do="build", size=first or self.size)
+        self.request(do="cast", least=0.0)
         if first:
-            found = process.request(do="cast", least=0.0)
+            found = self.request(do="cast", least=0.0)
             self.size = fitting_size(first, found["seconds"], self.size)
 
-    def warm_up(self, process: CasterProcess) -> None:
+    def warm_up(self) -> None:
         """Build again to time it, and cast a few times."""
-        self.row["build"] = process.request(do="build", size=self.size)["seconds"]
+        self.row["build"] = self.request(do="build", size=self.size)["seconds"]
         for _ in range(WARM_UP_CASTS):
-            process.request(do="cast", least=0.0)
+            self.request(do="cast", least=0.0)
 
-    def time_cast(self, process: CasterProcess) -> None:
-        found = process.request(do="cast", least=MIN_TURN_S)
+    def time_cast(self) -> None:
+        found = self.request(do="cast", least=MIN_TURN_S)
         self.row["rays"] = found["rays"]
         self.seconds.append(found["seconds"])
 
-    def measure_errors(self, process: CasterProcess, truth: ExactAnswers, folder: Path) -> None:
+    def measure_errors(self, truth: ExactAnswers, folder: Path) -> None:
         rays, out = folder / "judged.npz", folder / f"{self.caster.key}.npy"
         np.savez(rays, o=truth.o, d=truth.d)
-        precision = process.request(do="answer", rays=str(rays), out=str(out))["precision"]
+        precision = self.request(do="answer", rays=str(rays), out=str(out))["precision"]
         self.row["score"] = truth.score(np.load(out), precision, reference=self.caster.side == MITSUBA)
 
     def result(self) -> Row:

@@ -4,7 +4,7 @@ A plug-in (mitsuba_ref/shapes/__init__.py) adds a camera by `register`.
 """
 
 from caster.description.fields import Camera, Description
-from mitsuba_ref.cameras import with_sensor, without_sensor
+from mitsuba_ref.cameras import references
 from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange
 from mitsuba_ref.scene_xml.elements import MissingReferenceError, missing_reference
 
@@ -26,11 +26,11 @@ def reference_of_camera(camera: Camera) -> CameraReference:
 
 
 for _reference in (
-    with_sensor.PINHOLE,
-    with_sensor.ORTHOGRAPHIC,
-    without_sensor.FISHEYE,
-    without_sensor.PANORAMA,
-    without_sensor.PARABOLIC,
-    without_sensor.RAY,
+    references.PINHOLE,
+    references.ORTHOGRAPHIC,
+    references.FISHEYE,
+    references.PANORAMA,
+    references.PARABOLIC,
+    references.RAY,
 ):
     register(_reference)

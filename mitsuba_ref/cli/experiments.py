@@ -21,8 +21,7 @@ from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
 from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.hard.spawned_families import SPAWNED
-from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.hard.swept_families import SPAWNED, SWEPT
 from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, chosen, interpreter

@@ -3,10 +3,8 @@
 import argparse
 import shlex
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 from caster.description.errors import SceneError
 from caster.scene.files import load_scene
@@ -41,26 +39,6 @@ def run_compare(args: argparse.Namespace) -> int:
     return result.exit_code
 
 
-# ---- approved images: approve and check ----
-
-
-T = TypeVar("T")
-
-
-def each_scene(
-    args: argparse.Namespace, of: Callable[[SceneEntry], T], failed: Callable[[SceneEntry, tuple[str, ...]], T]
-) -> Iterator[T]:
-    """The results of `of` for all selected scenes in order, or of `failed` where it raises. Raises SceneError."""
-
-    def result_of(entry: SceneEntry) -> T:
-        try:
-            return of(entry)
-        except (SceneError, MemoryError) as error:
-            return failed(entry, tuple(problem_of(error).splitlines()))
-
-    yield from map_in_order(result_of, selected_entries(args), args.workers)
-
-
 # ---- approve ----
 
 
@@ -72,11 +50,15 @@ def run_approve(args: argparse.Namespace) -> int:
     variants.require_variants()  # its errors come before any work
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
     found = []
-    for proposal in each_scene(
-        args,
-        lambda entry: propose(entry.load(), entry.name, entry.path, folder, args.timeout),
-        lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", lines),
-    ):
+
+    def proposed(entry: SceneEntry) -> Proposal:
+        try:
+            return propose(entry.load(), entry.name, entry.path, folder, args.timeout)
+        except (SceneError, MemoryError) as error:
+            lines = tuple(problem_of(error).splitlines())
+            return Proposal(entry.name, folder / f"{entry.name}.exr", "failed", lines)
+
+    for proposal in map_in_order(proposed, selected_entries(args), args.workers):
         found.append(proposal)
         mark, lines = "  " if proposal.fresh is None else "->", proposal.details or ("",)
         print(f"{proposal.status:<8} {mark} {proposal.name}  {lines[0]}".rstrip(), file=out)
@@ -108,15 +90,17 @@ def run_check(args: argparse.Namespace) -> int:
     folder, out = Path(args.references), sys.stdout  # itself: readers in other threads replace sys.stdout
     size = tuple(map(str, ("--size", *args.size))) if args.size else ()
     found: list[FileComparison] = []
-    for checked in each_scene(
-        args,
-        lambda entry: check_scene(entry.load(), entry.name, folder / f"{entry.name}.exr").model_copy(
-            update={"scene": (shown_path(entry.path), *size)}
-        ),
-        lambda entry, lines: FileComparison(
-            ours=entry.name, reference=str(folder / f"{entry.name}.exr"), exit_code=DIFFERENCES, reasons=lines
-        ),
-    ):
+
+    def compared(entry: SceneEntry) -> FileComparison:
+        reference = folder / f"{entry.name}.exr"
+        try:
+            result = check_scene(entry.load(), entry.name, reference)
+        except (SceneError, MemoryError) as error:
+            reasons = tuple(problem_of(error).splitlines())
+            return FileComparison(ours=entry.name, reference=str(reference), exit_code=DIFFERENCES, reasons=reasons)
+        return result.model_copy(update={"scene": (shown_path(entry.path), *size)})
+
+    for checked in map_in_order(compared, selected_entries(args), args.workers):
         found.append(checked)
         if not args.json:
             print_lines(check_text(checked), out)

@@ -71,7 +71,8 @@ def run_import(args: argparse.Namespace) -> int:
     for line in found.left_out:
         print(folded(line))
     print(f"{args.output}: {plural(len(found.scene.shapes), 'shape')}, {len(found.left_out)} left out or changed")
-    for outside in sorted(folders_beyond(found.scene, folder)):
+    folders = {Path(file).parent for file in files_of(found.scene)}
+    for outside in sorted(str(each) for each in folders if not each.is_relative_to(folder)):
         print(folded(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used"))
     return OK
 
@@ -119,17 +120,16 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
     return ImportedScene(scene, (*course.left_out, *notes))
 
 
-def folders_beyond(scene: object, folder: Path) -> set[str]:
-    """Folders of meshes that a scene file in `folder` may read only by --mesh-dir."""
-    files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if getattr(shape, "file", None)]
-    return {str(file.parent) for file in files if not file.is_relative_to(folder)}
+def files_of(scene: Scene) -> list[str]:
+    """The files of its shapes."""
+    return [file for shape in scene.shapes if (file := getattr(shape, "file", None))]
 
 
 def run_export(args: argparse.Namespace) -> int:
     """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
     scene = load_scene_or_original(args)
     exported = export_scene(scene)
-    inputs = [file for shape in scene.shapes if (file := getattr(shape, "file", None))]
+    inputs = files_of(scene)
     for target in (os.path.join(args.output, name) for name in exported.meshes):
         if os.path.exists(target) and any(os.path.samefile(target, file) for file in inputs if os.path.exists(file)):
             raise SceneError(f"-o {args.output}: expected another folder: the scene reads {target}")

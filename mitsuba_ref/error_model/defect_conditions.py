@@ -72,9 +72,9 @@ class KnownDefect(NamedTuple):
     number: int
     name: str
     priority: int  # if several conditions hold, the defect with the lowest number here is reported
-    # whether the kind is hit exactly and another or none is named by the reference, or is named, or is hit or named
-    subject: Literal["missed", "named", "either"]
     condition: Callable[[DefectFeatures], bool]
+    # whether the kind is hit exactly and another or none is named by the reference, or is named, or is hit or named
+    subject: Literal["missed", "named", "either"] = "either"
 
     def applies(self, kind: str, features: DefectFeatures) -> bool:
         """Whether this defect, declared by `kind`, explains the pixel."""
@@ -83,29 +83,36 @@ class KnownDefect(NamedTuple):
         return kind in kinds and self.condition(features)
 
 
-NAN_T = KnownDefect(27, "a t that is not a number, from a denormal slope", 0, "either", lambda m: m.t != m.t)
+def starts_on_surface(m: DefectFeatures) -> bool:
+    return m.at_zero and m.t == 0.0
+
+
+def far_from_origin(m: DefectFeatures) -> bool:
+    return m.offset > FAR_IN_SIZES and m.nearly
+
+
+def small_and_far(m: DefectFeatures) -> bool:
+    return m.distance > FAR_IN_SIZES and m.nearly
+
+
+NAN_T = KnownDefect(27, "a t that is not a number, from a denormal slope", 0, lambda m: m.t != m.t)
 STARTS_ON_FLAT = KnownDefect(
     30,
     "a ray that starts on a flat surface, or within rounding of the patch for a plane: Mitsuba reports a hit at t = 0",
     1,
+    starts_on_surface,
     "named",
-    lambda m: m.at_zero and m.t == 0.0,
 )
 STARTS_ON_CURVED = KnownDefect(
-    7,
-    "a ray that starts on a sphere or a cylinder: Mitsuba reports a hit at t = 0",
-    2,
-    "named",
-    lambda m: m.at_zero and m.t == 0.0,
+    7, "a ray that starts on a sphere or a cylinder: Mitsuba reports a hit at t = 0", 2, starts_on_surface, "named"
 )
 GRAZED_FLAT = KnownDefect(
-    43, "a disk or a plane at grazing incidence", 13, "either", lambda m: m.cosine < GRAZING_COSINE and m.nearly
+    43, "a disk or a plane at grazing incidence", 13, lambda m: m.cosine < GRAZING_COSINE and m.nearly
 )
 STRETCHED = KnownDefect(
     8,
     "a squashed ellipsoid: Mitsuba assumes a direction of length 1 in object space, which it is far from",
     15,
-    "either",
     lambda m: m.stretch > SQUASHED_STRETCH and m.nearly,
 )
 

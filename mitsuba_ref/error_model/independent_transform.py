@@ -81,10 +81,12 @@ class ExpectedNumbers(NamedTuple):
 ExpectedPacking = Callable[[Any, Any], Iterator[ExpectedNumbers]]
 
 
-def expected_point(shape: Any, what: str, packed: np.ndarray, p: np.ndarray) -> ExpectedNumbers:
+def expected_points(shape: Any, what: str, packed: np.ndarray, points: np.ndarray) -> ExpectedNumbers:
+    """Points (..., 3) under the shape's to_world."""
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
-    expected = linear[:, 0] * p[0] + linear[:, 1] * p[1] + linear[:, 2] * p[2] + move
-    return ExpectedNumbers(what, packed, expected, np.abs(linear) @ np.abs(p) + np.abs(move))
+    with np.errstate(invalid="ignore", over="ignore"):
+        expected = np.einsum("jk,...k->...j", linear, points) + move
+        return ExpectedNumbers(what, packed, expected, np.abs(points) @ np.abs(linear.T) + np.abs(move))
 
 
 def up_to_rounding(what: str, packed: Any, expected: Any) -> ExpectedNumbers:

@@ -47,17 +47,14 @@ class SceneModel:
 
         ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
         """
-        kind, k = self.packed.kinds_of(prim)
         pairs, found = [], []
-        for place, model in enumerate(self.models):
-            rows = np.flatnonzero(kind == place)
-            if len(rows):
-                intersect = (ours and model.intersect_ours) or model.intersect
-                for at in intersect(self.kinds[place], k[rows], o[rows], d[rows], ku):
-                    if not (ours or model.uv.reference):
-                        at = at._replace(uv=np.zeros_like(at.uv), uv_error=np.zeros_like(at.t))
-                    pairs.append(rows)
-                    found.append(at)
+        for rows, model, arrays, k in self._by_kind(prim):
+            intersect = (ours and model.intersect_ours) or model.intersect
+            for at in intersect(arrays, k, o[rows], d[rows], ku):
+                if not (ours or model.uv.reference):
+                    at = at._replace(uv=np.zeros_like(at.uv), uv_error=np.zeros_like(at.t))
+                pairs.append(rows)
+                found.append(at)
         if not found:
             return PairIntersections(np.zeros(0, int), no_intersections(0))
         pair, at = pairs[0], found[0]
@@ -69,18 +66,24 @@ class SceneModel:
             at = at._replace(n=side * at.n, sh_n=side * at.sh_n)
         return PairIntersections(pair, at)
 
+    def _by_kind(self, prim: np.ndarray) -> Iterator[tuple[np.ndarray, ErrorModel, Any, np.ndarray]]:
+        """(rows of prim (m,), error model, arrays, the rows of these) for each kind among the primitives."""
+        kind, k = self.packed.kinds_of(prim)
+        for place, model in enumerate(self.models):
+            rows = np.flatnonzero(kind == place)
+            if len(rows):
+                yield rows, model, self.kinds[place], k[rows]
+
     def uv_points(self, prim: np.ndarray, uv: np.ndarray, *, ours: bool) -> np.ndarray:
         """(n, 3) points that uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.
 
         ours: uv of the subject, not of the reference. 0 where prim is -1, or where the reference traces a stand-in.
         """
         points, hits = np.zeros((len(prim), 3)), np.flatnonzero(prim >= 0)
-        kind, k = self.packed.kinds_of(prim[hits])
-        for place, model in enumerate(self.models):
-            rows = np.flatnonzero(kind == place)
+        for rows, model, arrays, k in self._by_kind(prim[hits]):
             space = model.uv.subject if ours else model.uv.reference
             if space:
-                points[hits[rows]] = space(self.kinds[place], k[rows], uv[hits[rows]].astype(np.float64))
+                points[hits[rows]] = space(arrays, k, uv[hits[rows]].astype(np.float64))
         return points
 
     def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
@@ -118,11 +121,11 @@ class InstancedModel(SceneModel):
     triangle of height h by up to 2 sqrt(3) u |corner| / h < K u |corner| / h.
     """
 
-    condition: np.ndarray | None = None  # (shapes,) of the matrix of each instance, a power of two; 0: no instance
+    condition: np.ndarray  # (shapes,) of the matrix of each instance, a power of two; 0: no instance
 
     def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
         """As SceneModel.intersect, with the errors of instances."""
-        if ours or self.condition is None:
+        if ours:
             return super().intersect(prim, o, d, ku, ours=ours)
         condition, found = self.condition[self.packed.shape_of(prim)], []
         for each in np.unique(condition):
@@ -141,15 +144,12 @@ class InstancedModel(SceneModel):
     def _turned_normals(self, prim: np.ndarray, ku: float) -> np.ndarray:
         """(m,) how far the rounding of corners turns normals; 0 for other kinds than triangles."""
         turned = np.zeros(len(prim))
-        kind, k = self.packed.kinds_of(prim)
-        for place, arrays in enumerate(self.kinds):
-            rows = np.flatnonzero(kind == place)
-            if not isinstance(arrays, Triangles) or not len(rows):
-                continue
-            corners = arrays.vertices[arrays.faces[k[rows]]]
-            edges = np.roll(corners, -1, axis=1) - corners
-            height = norm(cross(edges[:, 0], edges[:, 1])) / np.linalg.norm(edges, axis=2).max(axis=1)
-            turned[rows] = ku * np.abs(corners).max(axis=(1, 2)) / height
+        for rows, _, arrays, k in self._by_kind(prim):
+            if isinstance(arrays, Triangles):
+                corners = arrays.vertices[arrays.faces[k]]
+                edges = np.roll(corners, -1, axis=1) - corners
+                height = norm(cross(edges[:, 0], edges[:, 1])) / np.linalg.norm(edges, axis=2).max(axis=1)
+                turned[rows] = ku * np.abs(corners).max(axis=(1, 2)) / height
         return turned
 
 

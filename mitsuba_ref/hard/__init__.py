@@ -2,8 +2,7 @@
 
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.random_families import RANDOM
-from mitsuba_ref.hard.spawned_families import SPAWNED
-from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.hard.swept_families import SPAWNED, SWEPT
 
 FAMILIES: tuple[Family, ...] = (*RANDOM, *SWEPT, *SPAWNED)
 BY_NAME = {family.name: family for family in FAMILIES}

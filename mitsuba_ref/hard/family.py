@@ -57,7 +57,7 @@ class Family:
     make: Callable[[Rng, float], HardScene] = field(repr=False)  # of the swept quantity, 0.0 where there is none
     quantity: str = ""  # the swept one, with its unit
     values: tuple[float, ...] = ()  # of it, in ascending order
-    easiest: float = 0.0  # the value from which on settings get harder, to one side or to both
+    easiest: float = 1.0  # the value from which on settings get harder, to one side or to both
     unit: float | None = None  # of errors of t, in scene units; None: relative to the distance
     closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
     fits_float32: bool = True  # so that Mitsuba can trace it

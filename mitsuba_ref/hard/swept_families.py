@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -258,6 +259,7 @@ def decades(*exponents: int) -> tuple[float, ...]:
 
 TENFOLD = decades(*range(8))
 TINY = decades(*range(-8, 0))
+UP_TO_ONE = (*TINY, 1.0)
 MESH_SCALES = decades(-20, -16, -14, -13, -12, -11, -9, -6, -3, 0, 3, 6, 9, 11, 12, 13, 14, 16, 18)
 SPHERE_SCALES = decades(-30, -24, -20, -19, -17, -15, -12, -8, -4, 0, 4, 8, 12, 15, 17, 18, 19, 20, 24, 30)
 LENGTHS = decades(-36, -30, -25, -20, -15, -10, -5, -3, 0, 3, 5, 10, 15, 18, 20, 25, 30, 36)
@@ -274,7 +276,6 @@ SWEPT: tuple[Family, ...] = (
         partial(scaled, icosphere),
         "radius, scene units",
         MESH_SCALES,
-        1.0,
         fits_float32=False,  # Mitsuba's normals of smaller triangles than 1e-10 are infinite
     ),
     Family(
@@ -283,7 +284,6 @@ SWEPT: tuple[Family, ...] = (
         partial(scaled, ball),
         "radius of the sphere, scene units",
         SPHERE_SCALES,
-        1.0,
         fits_float32=False,  # Mitsuba takes a sphere of radius 1e-24 for a stretched one
     ),
     Family(
@@ -292,9 +292,8 @@ SWEPT: tuple[Family, ...] = (
         partial(offset, icosphere),
         OFFSET,
         (*TENFOLD[:-1], 3e6, 1e7),
-        1.0,
     ),
-    Family("offset-sphere", "how far from the origin a sphere is", partial(offset, ball), OFFSET, TENFOLD, 1.0),
+    Family("offset-sphere", "how far from the origin a sphere is", partial(offset, ball), OFFSET, TENFOLD),
     Family(
         "distance-triangle",
         "how far rays come to a triangle",
@@ -312,15 +311,10 @@ SWEPT: tuple[Family, ...] = (
         10.0,
     ),
     Family(
-        "grazing-rectangle",
-        "rays that run nearly along two triangles",
-        partial(grazing, "rectangle"),
-        ANGLE,
-        (*TINY, 1.0),
-        1.0,
+        "grazing-rectangle", "rays that run nearly along two triangles", partial(grazing, "rectangle"), ANGLE, UP_TO_ONE
     ),
-    Family("grazing-disk", "rays that run nearly along a disk", partial(grazing, "disk"), ANGLE, (*TINY, 1.0), 1.0),
-    Family("sliver", "how thin a triangle is", sliver, "height over base", (*TINY[1:], 1.0), 1.0),
+    Family("grazing-disk", "rays that run nearly along a disk", partial(grazing, "disk"), ANGLE, UP_TO_ONE),
+    Family("sliver", "how thin a triangle is", sliver, "height over base", UP_TO_ONE[1:]),
     Family(
         "tangency",
         "how nearly rays touch a sphere's silhouette",
@@ -347,15 +341,14 @@ SWEPT: tuple[Family, ...] = (
         0.0,
         closed=True,
     ),
-    Family("length-mesh", "how long d is, at triangles", partial(of_length, icosphere), "length of d", LENGTHS, 1.0),
-    Family("length-sphere", "how long d is, at a sphere", partial(of_length, ball), "length of d", LENGTHS, 1.0),
+    Family("length-mesh", "how long d is, at triangles", partial(of_length, icosphere), "length of d", LENGTHS),
+    Family("length-sphere", "how long d is, at a sphere", partial(of_length, ball), "length of d", LENGTHS),
     Family(
         "axis",
         "rays inside a cylinder, nearly along its axis",
         along_cylinder,
         "angle between ray and axis, radians",
-        (*TINY[1:], 1.0),
-        1.0,
+        UP_TO_ONE[1:],
     ),
     Family(
         "condition",
@@ -363,7 +356,6 @@ SWEPT: tuple[Family, ...] = (
         stretched_sphere,
         "condition of to_world",
         (1.0, 3.0, *TENFOLD[1:-1]),
-        1.0,
     ),
     Family(
         "shadow-sphere",
@@ -382,5 +374,91 @@ SWEPT: tuple[Family, ...] = (
         START_OFFSETS,
         0.1,
         unit=1.0,
+    ),
+)
+
+# ---- families of surfaces that rays leave, for the origins of these rays
+
+MATERIALS: Fields = {"glass": {"type": "glass", "ior": 1.5}, "mirror": {"type": "mirror"}}
+INNER_SHARE = 0.5  # radius of the inner sphere, unless stressed
+
+
+def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> HardScene:
+    """Rays from a distance to points of the shapes, from all directions, or at an angle to the surface."""
+
+    def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
+        p, _, across = Targets(packed, rng).points(count, "inside")
+        back = directions(rng, count)
+        if angle:
+            n = unit(across)
+            back = np.cos(angle) * perpendicular(rng, n) + np.sin(angle) * n
+        return batch(*towards(p + distance * back, p))
+
+    return HardScene(plain({**NO_VIEW, "material": MATERIALS, "shape": shapes}), aim)
+
+
+def nested(center: np.ndarray, radius: float, inner: float) -> list[Fields]:
+    """A sphere of glass within another one."""
+    sphere: dict[str, Any] = {"type": "sphere", "center": rounded(center), "material": "glass"}
+    return [sphere | {"radius": radius}, sphere | {"radius": inner}]
+
+
+def two_walls(rng: Rng, width: float) -> HardScene:
+    return leaving_scene(nested(near_origin(rng), 1.0, 1.0 - width), EYE_DISTANCE)
+
+
+def with_mesh(rng: Rng, center: np.ndarray, radius: float) -> list[Fields]:
+    """Nested spheres, and triangles of glass beside them."""
+    beside = icosphere(rng, center + 2.5 * radius * directions(rng, 1)[0], radius)
+    return [*nested(center, radius, INNER_SHARE * radius), beside | {"material": "glass"}]
+
+
+def glass_of_size(rng: Rng, size: float) -> HardScene:
+    return leaving_scene(with_mesh(rng, size * near_origin(rng), size), EYE_DISTANCE * size)
+
+
+def glass_far_away(rng: Rng, offset: float) -> HardScene:
+    return leaving_scene(with_mesh(rng, offset * directions(rng, 1)[0], 1.0), EYE_DISTANCE)
+
+
+def grazing_mirrors(rng: Rng, angle: float) -> HardScene:
+    """A sphere and two triangles that do not hide each other."""
+    place = [turn(rng), {"translate": near_origin(rng)}]
+    shapes: list[Fields] = [{"type": kind, "material": "mirror"} for kind in ("sphere", "rectangle")]
+    steps = [place, [*place, {"translate": [100.0, 0.0, 0.0]}]]
+    return leaving_scene(
+        [shape | {"to_world": at} for shape, at in zip(shapes, steps, strict=True)], EYE_DISTANCE, angle
+    )
+
+
+SIZES = decades(-12, -9, -6, -5, -4, -3, -2, -1, 0, 3, 6, 9, 12)
+
+SPAWNED: tuple[Family, ...] = (
+    Family(
+        "spawn-gap",
+        "how near a second surface is: two spheres of glass, one within the other",
+        two_walls,
+        "distance of the spheres over radius",
+        (*TINY[1:4], 4e-5, *TINY[4:]),
+        0.1,
+        spawns=True,
+    ),
+    Family(
+        "spawn-scale",
+        "the size of a scene that rays leave",
+        glass_of_size,
+        "radius, scene units",
+        SIZES,
+        fits_float32=False,  # Mitsuba takes a sphere of radius 5e-13 for a stretched one
+        spawns=True,
+    ),
+    Family("spawn-offset", "how far from the origin rays leave", glass_far_away, OFFSET, TENFOLD, spawns=True),
+    Family(
+        "spawn-grazing",
+        "how nearly rays leave a sphere or two triangles along them",
+        grazing_mirrors,
+        ANGLE,
+        UP_TO_ONE[1:],
+        spawns=True,
     ),
 )

@@ -1,20 +1,13 @@
 """Exact numbers: integers scaled by a common power of two, and roots of linear and quadratic equations."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import NamedTuple, Union
 
 import numpy as np
 
 Integers3 = tuple[int, int, int]
-
-
-class Scaled(NamedTuple):
-    """The numbers n[i] 2^-k."""
-
-    n: tuple[int, ...]
-    k: int  # >= 0
 
 
 class IntegerRay(NamedTuple):
@@ -25,18 +18,31 @@ class IntegerRay(NamedTuple):
     d: Integers3
     kd: int
 
+    @property
+    def e(self) -> int:
+        """t is s 2^e at the point o + s d, in units of 2^-ko."""
+        return self.kd - self.ko
 
-def scaled(numbers: Iterable[float]) -> Scaled:
-    """Finite floats as integers times the largest power of two <= 1 for which all are integers."""
-    ratios = [x.as_integer_ratio() for x in numbers]
+
+class IntegerVectors(NamedTuple):
+    """The vectors v[i] 2^-k."""
+
+    v: list[Integers3]
+    k: int  # >= 0
+
+
+def scaled_vectors(rows: np.ndarray) -> IntegerVectors:
+    """Finite vectors (n, 3) or (3,) as integers times the largest power of two <= 1 for which all are integers."""
+    ratios = [x.as_integer_ratio() for x in rows.ravel().tolist()]
     k = max(below.bit_length() for _, below in ratios) - 1  # denominators are powers of two
-    return Scaled(tuple(above << (k + 1 - below.bit_length()) for above, below in ratios), k)
+    n = [above << (k + 1 - below.bit_length()) for above, below in ratios]
+    return IntegerVectors(list(zip(n[::3], n[1::3], n[2::3], strict=True)), k)
 
 
-def scaled_vectors(rows: np.ndarray) -> tuple[list[Integers3], int]:
-    """Finite vectors (n, 3) or (3,), scaled together: (integers, k)."""
-    n, k = scaled(rows.ravel().tolist())
-    return list(zip(n[::3], n[1::3], n[2::3], strict=True)), k
+def in_units_of_both(vectors: IntegerVectors, ray: IntegerRay) -> tuple[list[Integers3], int, IntegerRay]:
+    """(vectors, bits that shift them into the units of the ray's origin, ray in units no larger than theirs)."""
+    ko = max(vectors.k, ray.ko)
+    return vectors.v, ko - vectors.k, IntegerRay(shifted(ray.o, ko - ray.ko), ko, ray.d, ray.kd)
 
 
 def integer_rays(o: np.ndarray, d: np.ndarray) -> Iterator[IntegerRay]:

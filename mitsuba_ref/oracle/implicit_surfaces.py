@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 from functools import reduce
 from operator import add, mul
@@ -50,10 +49,10 @@ def rounded(value: np.ndarray, error: np.ndarray | float) -> Approximate:
 
 
 Vector = tuple[Any, ...]  # of three numbers that can be added, subtracted and multiplied
-AsVector = Callable[[np.ndarray], Vector]  # of the columns of (m, c), or the numbers of (c,)
 
 
 def approximate_vector(columns: np.ndarray) -> Vector:
+    """The columns of (m, c)."""
     return tuple(map(Approximate, np.ascontiguousarray(columns.T)))
 
 

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root
+from mitsuba_ref.oracle.implicit_surfaces import ImplicitSurface, Vector
 
 
 class Contact(NamedTuple):
@@ -42,20 +43,18 @@ class ExactKind(NamedTuple):
     # prims -> (low, high) corners (n, 3) of boxes around each primitive; infinite if it has no bounds
     boxes: Callable[[Any], tuple[np.ndarray, np.ndarray]]
 
-    # (prims, k) -> primitive k in integers
-    prepare: Callable[[Any, int], Any]
+    # (prims, k) -> (..., v, 3) all numbers of primitive k, or of several, as v vectors
+    vectors: Callable[[Any, Any], np.ndarray]
 
-    # (prepared primitive, ray) -> roots and contacts
-    intersect: Callable[[Any, IntegerRay], LineIntersections]
+    # (these vectors in integers, bits that shift them into the units of the ray's origin, ray) -> roots and contacts
+    intersect: Callable[[Sequence[Integers3], int, IntegerRay], LineIntersections]
 
-    # names of arrays whose numbers have to be finite, those of "radius" also not negative: else OutsideDomain is raised
-    finite: tuple[str, ...] = ()
-
-    # prims -> (n,) bool: False for primitives that are never hit, such as faces with a corner that is not finite
+    # prims -> (n,) bool: False for primitives that are never hit, such as faces with a corner that is not finite; None:
+    # all numbers have to be finite, and radii not negative, else OutsideDomain is raised
     present: Callable[[Any], np.ndarray] | None = None
 
-    # (prims, k, AsVector) -> the ImplicitSurface that primitive k lies in; None: which side a point is on is not known
-    surface: Callable[[Any, Any, Any], Any] | None = None
+    # these vectors, in any numbers -> the surface that they lie in; None: which side a point is on is not known
+    surface: Callable[[Sequence[Vector]], ImplicitSurface] | None = None
 
 
 EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of the arrays; filled by mitsuba_ref.shapes

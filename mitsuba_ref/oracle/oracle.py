@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mitsuba_ref.oracle.boxes import BoxTree
-from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_rays
+from mitsuba_ref.oracle.exact_numbers import (
+    IntegerRay,
+    IntegerVectors,
+    Root,
+    in_units_of_both,
+    integer_rays,
+    scaled_vectors,
+)
 from mitsuba_ref.oracle.interface import (
     EXACT_KINDS,
     Contact,
@@ -111,12 +118,12 @@ class PrimitiveArray(NamedTuple):
     kind: ExactKind
     prims: Any
     ids: np.ndarray  # (n,) the number of each in the scene
-    ready: dict[int, Any]  # prepared primitives, by row
+    ready: dict[int, IntegerVectors]  # primitives in integers, by row
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
         if k not in self.ready:
-            self.ready[k] = self.kind.prepare(self.prims, k)
-        return self.kind.intersect(self.ready[k], ray)
+            self.ready[k] = scaled_vectors(self.kind.vectors(self.prims, k))
+        return self.kind.intersect(*in_units_of_both(self.ready[k], ray))
 
 
 class CandidatePrimitive(NamedTuple):
@@ -170,12 +177,14 @@ class PrimitiveIndex:
 
 def check_usable(part: PrimitiveArray) -> None:
     """Raise OutsideDomain for primitives with a number that is not finite, or a negative radius."""
-    for name in part.kind.finite:
-        numbers = getattr(part.prims, name).reshape(len(part.ids), -1)
-        bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1) | ((numbers < 0.0).any(axis=1) & (name == "radius")))
-        if len(bad):
-            k = int(bad[0])
-            raise OutsideDomain(
-                f"primitive {part.ids[k]} (row {k} of {type(part.prims).__name__}) must have finite numbers and no "
-                f"radius below 0, got {[a[k].tolist() for a in part.prims]}"
-            )
+    if part.kind.present is not None:
+        return
+    finite = np.isfinite(part.kind.vectors(part.prims, slice(None))).all(axis=(1, 2))
+    radii = getattr(part.prims, "radius", np.zeros(len(finite))).reshape(len(finite), -1)
+    bad = np.flatnonzero(~finite | (radii < 0.0).any(axis=1))
+    if len(bad):
+        k = int(bad[0])
+        raise OutsideDomain(
+            f"primitive {part.ids[k]} (row {k} of {type(part.prims).__name__}) must have finite numbers and no "
+            f"radius below 0, got {[a[k].tolist() for a in part.prims]}"
+        )

@@ -129,7 +129,8 @@ class OriginJudge:
         """(rows of index, their surfaces) for each array of primitives that has them."""
         for part, rows, k in self.index.by_part(index):
             if part.kind.surface is not None:
-                yield rows, part.kind.surface(part.prims, k, approximate_vector)
+                vectors = part.kind.vectors(part.prims, k).swapaxes(0, 1)
+                yield rows, part.kind.surface([*map(approximate_vector, vectors)])
 
     # ---- exactly
 
@@ -187,7 +188,7 @@ def _own_surface(part: PrimitiveArray, k: int, t: Root, ray: Departures, line: I
     """The finding of self-hit and side for one primitive that passes through p."""
     if part.kind.surface is None:
         return UNDECIDED
-    surface: ImplicitSurface = part.kind.surface(part.prims, k, exact_vector)
+    surface = part.kind.surface([*map(exact_vector, part.kind.vectors(part.prims, k))])
     o, d, w, q = map(exact_vector, (ray.o, ray.d, ray.w, ray.q))
     # The slope along w is linear in t.
     at_start, ahead = surface.slope(o, w), surface.slope(tuple(map(sum, zip(o, d, strict=True))), w)

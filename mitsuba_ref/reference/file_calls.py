@@ -23,8 +23,11 @@ CHECKERBOARD = {"color0": 0.4, "color1": 0.2}  # Mitsuba's defaults
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
 # class in Mitsuba -> shape type of the caster
 HELD = {
-    **{"Sphere": "sphere", "Cylinder": "cylinder", "Disk": "disk"},
-    **{"LinearCurve": "linear_curve", "Ellipsoids": "ellipsoids"},
+    "Sphere": "sphere",
+    "Cylinder": "cylinder",
+    "Disk": "disk",
+    "LinearCurve": "linear_curve",
+    "Ellipsoids": "ellipsoids",
 }
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
 VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)

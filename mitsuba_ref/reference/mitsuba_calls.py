@@ -67,7 +67,7 @@ def _trace_request(request: TraceRequest, logger: Any) -> TraceResponse:
 
 
 def _restore_ellipsoids(scene: Any) -> None:
-    """Semi-axes and quaternions of exported ellipsoids as their attribute `exact` holds them (shapes/ellipsoids.py)."""
+    """Semi-axes and quaternions of exported ellipsoids as their attribute `exact` holds them (shapes/sphere.py)."""
     numbers = mi.traverse(scene)
     for name in [key for key, _ in numbers if key.endswith(".exact")]:
         key = name.removesuffix("exact") + "data"

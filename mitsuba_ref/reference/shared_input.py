@@ -166,7 +166,6 @@ class SceneExport:
 
     xml: str
     meshes: dict[str, bytes]
-    shape_ids: list[str]
     notes: list[str]
 
     def write(self, folder: Path, name: str = "scene.xml") -> Path:
@@ -204,7 +203,7 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
     root.extend([*map(light_element, scene.lights), *shapes])
     indent(root, "    ")
     text = tostring(root, encoding="unicode") + "\n"
-    return SceneExport(text, out.meshes, shape_ids(scene), out.notes)
+    return SceneExport(text, out.meshes, out.notes)
 
 
 def shape_ids(scene: Scene) -> list[str]:

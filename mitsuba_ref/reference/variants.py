@@ -1,13 +1,12 @@
 """Mitsuba's variants. Those that work on this machine are found by tracing a small scene in a child process."""
 
 import glob
-import json
 import os
 import platform
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -126,16 +125,44 @@ class Variants:
         return tuple(name for name, works in zip(VARIANT_NAMES, (self.scalar, self.libllvm), strict=True) if works)
 
 
-_usable_by_key: dict[str, Variants] = {}
-
-
 def usable_variants() -> Variants:
-    """The variants that work on this machine; tried once, then stored in the user's cache folder."""
-    candidates = _candidates()
-    key = _cache_key(candidates)
-    if key not in _usable_by_key:
-        _usable_by_key[key] = _load_cached(key, candidates) or _try_variants(candidates, key)
-    return _usable_by_key[key]
+    """The variants that work on this machine: scalar, and LLVM with the first of the libraries that it works with."""
+    candidates, scalar, library = _candidates(), _problem(SCALAR), None
+    problems = [f"{SCALAR}: {scalar}"] if scalar else []
+    absent = "No module named" in scalar
+    for path in () if absent else candidates:
+        problem = _problem(LLVM, path)
+        if not problem:
+            library = path
+            break
+        problems.append(f"{path}: {problem}")
+    if not candidates and not absent:
+        problems.append(NO_LIBLLVM)
+    return Variants(not scalar, library, _brief(problems), "; ".join(problems))
+
+
+TRIED = "tried: "  # begins a stored outcome
+_outcomes: dict[str, str] = {}  # of this process
+
+
+def _problem(variant: str, library: str | None = None) -> str:
+    """What happened when a variant was tried; "" if it works. Tried once, then stored in the user's cache folder.
+
+    Loading a library runs its code: one is loaded only where it is a candidate, whatever the store names.
+    """
+    parts = [Path(__file__).read_text(encoding="utf-8"), platform.node(), repr(machine()), variant]
+    stamp = f"{library} {_file_stamp(library)}" if library else ""
+    key = key_of([*parts, environment_settings(*REFERENCE_SETTINGS), stamp])
+    if key not in _outcomes:
+        _, mark, stored = (user_store().get(key) or b"").decode(errors="replace").partition(TRIED)
+        problem = stored if mark else smoke_test(variant, {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {})
+        # A Mitsuba that cannot be imported may be half installed, a GPU may come; after the other two, a machine was
+        # busy or out of memory.
+        for_now = problem.startswith("exit code") and variant != LLVM
+        if not for_now and not any(word in problem for word in ("killed", "SIGKILL")):
+            user_store().put(key, f"{TRIED}{problem}".encode())
+        _outcomes[key] = problem
+    return _outcomes[key]
 
 
 def variant_for(has_quadrics: bool) -> str:
@@ -169,16 +196,12 @@ def rgb_variants() -> list[str]:
 
 
 def why_not(variant: str) -> str:
-    """Why a variant does not work here, in one line; "" if it does. One that works is not tried again."""
-    found, key = usable_variants(), key_of([_cache_key(_candidates()), variant])
+    """Why a variant does not work here, in one line; "" if it does."""
+    found = usable_variants()
     if variant in VARIANT_NAMES:
         return "" if variant in found.names else found.why
-    if user_store().get(key) is not None:
-        return ""
-    if problem := smoke_test(variant, environment_for(variant)):
-        return "no CUDA device was found" if NO_CUDA in problem else _brief([problem])
-    user_store().put(key, b"works")
-    return ""
+    problem = _problem(variant, environment_for(variant).get(LIBLLVM_ENVIRONMENT_VARIABLE))
+    return "no CUDA device was found" if NO_CUDA in problem else _brief([problem])
 
 
 NO_CUDA = "the CUDA backend hasn't been initialized"  # in Dr.Jit's message
@@ -226,39 +249,12 @@ def _version(path: str) -> tuple[list[int], str]:
     return [int(number) for number in re.findall(r"\d+", Path(path).name)], path
 
 
-def _cache_key(candidates: list[str]) -> str:
-    """A hash of all that the outcome depends on."""
-    sources = [Path(__file__).read_text(encoding="utf-8"), platform.node(), repr(machine())]
-    libraries = [f"{path} {_file_stamp(path)}" for path in candidates]
-    return key_of([*sources, environment_settings(*REFERENCE_SETTINGS), *libraries])
-
-
 def _file_stamp(path: str) -> str:
     try:
         status = os.stat(path)
     except OSError:
         return "missing"
     return f"{status.st_size} {status.st_mtime_ns}"
-
-
-def _try_variants(candidates: list[str], key: str) -> Variants:
-    """Try scalar, then LLVM with one library after the other; stored unless another try may end differently."""
-    scalar = smoke_test(SCALAR, {})
-    problems = [f"{SCALAR}: {scalar}"] if scalar else []
-    library, absent = None, "No module named" in scalar
-    for path in () if absent else candidates:
-        problem = smoke_test(LLVM, {LIBLLVM_ENVIRONMENT_VARIABLE: path})
-        if not problem:
-            library = path
-            break
-        problems.append(f"{path}: {problem}")
-    if not candidates and not absent:
-        problems.append(NO_LIBLLVM)
-    found = Variants(not scalar, library, _brief(problems), "; ".join(problems))
-    # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.
-    if not scalar.startswith("exit code") and not any(word in found.details for word in ("killed", "SIGKILL")):
-        user_store().put(key, json.dumps(asdict(found)).encode())
-    return found
 
 
 MAX_PROBLEM_CHARACTERS, MAX_PROBLEMS = 110, 2  # in one line
@@ -270,17 +266,3 @@ def _brief(problems: list[str]) -> str:
     shown = [line if len(line) <= MAX_PROBLEM_CHARACTERS else f"{line[:MAX_PROBLEM_CHARACTERS]} ..." for line in lines]
     more = len(problems) - len(shown)
     return "; ".join([*shown, *([f"and {more} more libraries"] if more else [])])
-
-
-def _load_cached(key: str, candidates: list[str]) -> Variants | None:
-    """The stored outcome; None where there is none that can be read, or its library is none of the candidates.
-
-    Loading a library runs its code: a path that only the store names is not loaded.
-    """
-    from pydantic import TypeAdapter, ValidationError  # not in the Mitsuba process: its interpreter may have none
-
-    try:
-        found = TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
-    except ValidationError:
-        return None
-    return found if found.libllvm in (None, *candidates) else None

@@ -10,7 +10,7 @@ from caster.description.fields import Shape
 from caster.description.registry import load_plugins
 from mitsuba_ref.oracle.interface import EXACT_KINDS
 from mitsuba_ref.scene_xml.elements import MissingReferenceError, missing_reference
-from mitsuba_ref.shapes import cylinder, disk, ellipsoids, linear_curve, plane, sphere, triangle_meshes
+from mitsuba_ref.shapes import cylinder, disk, linear_curve, plane, sphere, triangle_meshes
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference
 
 __all__ = ["KINDS", "REFERENCES", "kind_of", "reference_of", "register"]
@@ -58,7 +58,7 @@ for _reference in (
     triangle_meshes.HEIGHTFIELD,
     triangle_meshes.TEAPOT,
     sphere.CLOUD,
-    ellipsoids.REFERENCE,
+    sphere.ELLIPSOID_CLOUD,
     linear_curve.REFERENCE,
 ):
     register(_reference)

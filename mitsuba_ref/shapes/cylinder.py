@@ -9,16 +9,17 @@ import numpy as np
 from caster.shapes.cylinder import Cylinder, Cylinders
 from mitsuba_ref.error_model.defect_conditions import (
     ALONG_AXIS_SINE,
-    FAR_IN_SIZES,
     STARTS_ON_CURVED,
     STRETCHED,
     DefectView,
     KnownDefect,
+    far_from_origin,
+    small_and_far,
 )
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points
 from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
 from mitsuba_ref.error_model.tolerances import U32
-from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
+from mitsuba_ref.oracle.exact_kinds import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import intersect_round, on_circle, ours_through_object_space
@@ -77,12 +78,12 @@ LARGEST_HANDED_CONDITION = 2.0**20
 def expected_cylinder(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """Base, axis, handedness, and A A^T, which does not depend on where around the axis the angle starts."""
     linear, packed = shape.matrix[:3, :3], part.to_world[0]
-    p0, axis = np.array(shape.p0), np.subtract(shape.p1, shape.p0)
+    axis = np.subtract(shape.p1, shape.p0)
     ends = np.abs(shape.p0) + np.abs(shape.p1)
     across = np.eye(3) - np.outer(axis, axis) / np.dot(axis, axis)
     own = shape.radius**2 * across + np.outer(axis, axis)
     reach = np.abs(linear).sum(axis=1) * (shape.radius + ends.max())
-    yield expected_point(shape, "p0", part.center[0], p0)
+    yield expected_points(shape, "p0", part.center, np.array([shape.p0]))
     yield ExpectedNumbers("axis", packed[:, 2], linear @ axis, np.abs(linear) @ ends)
     yield ExpectedNumbers("radius", packed @ packed.T, linear @ own @ linear.T, np.outer(reach, reach))
     hands = np.sign(np.linalg.det(packed)), np.sign(np.linalg.det(linear))
@@ -118,18 +119,14 @@ def view_cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) ->
 
 
 TANGENT = KnownDefect(
-    55, "a cylinder that a ray touches along its wall, exactly", 6, "missed", lambda m: "tangent" in m.where
+    55, "a cylinder that a ray touches along its wall, exactly", 6, lambda m: "tangent" in m.where, "missed"
 )
-RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, "missed", lambda m: "rim" in m.where)
+RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, lambda m: "rim" in m.where, "missed")
 ALONG_AXIS = KnownDefect(
-    53, "a ray nearly along the axis of a cylinder", 14, "either", lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
+    53, "a ray nearly along the axis of a cylinder", 14, lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
 )
-THIN_AND_FAR = KnownDefect(
-    57, "a cylinder that is thin and far away", 16, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
-)
-FAR_FROM_ORIGIN = KnownDefect(
-    61, "a cylinder far from the origin", 22, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
-)
+THIN_AND_FAR = KnownDefect(57, "a cylinder that is thin and far away", 16, small_and_far)
+FAR_FROM_ORIGIN = KnownDefect(61, "a cylinder far from the origin", 22, far_from_origin)
 
 CYLINDERS = PrimitiveReference(
     Cylinders,
@@ -142,11 +139,5 @@ CYLINDERS = PrimitiveReference(
     defect_view=view_cylinder,
 )
 REFERENCE = ShapeReference(
-    Cylinder,
-    to_xml,
-    (CYLINDERS,),
-    expected_cylinder,
-    random_fields,
-    groups=frozenset({"quadric", "small"}),
-    analytic=True,
+    Cylinder, to_xml, (CYLINDERS,), expected_cylinder, random_fields, groups=("quadric", "small"), analytic=True
 )

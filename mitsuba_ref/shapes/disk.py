@@ -8,12 +8,12 @@ import numpy as np
 
 from caster.shapes.disk import Disk, Disks
 from mitsuba_ref.error_model.defect_conditions import (
-    FAR_IN_SIZES,
     GRAZED_FLAT,
     STARTS_ON_FLAT,
     DefectView,
     KnownDefect,
     abs_cosine,
+    far_from_origin,
 )
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
@@ -27,7 +27,7 @@ from mitsuba_ref.error_model.intersections import (
     without_edges,
     without_float_warnings,
 )
-from mitsuba_ref.oracle.exact_quadrics import DISKS as EXACT_DISKS
+from mitsuba_ref.oracle.exact_kinds import DISKS as EXACT_DISKS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (
@@ -110,10 +110,8 @@ def view_disk(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> Def
     return DefectView(cosine=abs_cosine(prims.to_object[k][2], d))
 
 
-RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, "missed", lambda m: "rim" in m.where)
-FAR_FROM_ORIGIN = KnownDefect(
-    47, "a disk far from the origin", 21, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
-)
+RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, lambda m: "rim" in m.where, "missed")
+FAR_FROM_ORIGIN = KnownDefect(47, "a disk far from the origin", 21, far_from_origin)
 
 DISKS = PrimitiveReference(
     Disks,
@@ -125,6 +123,4 @@ DISKS = PrimitiveReference(
     known_defects=(STARTS_ON_FLAT, RIM, GRAZED_FLAT, FAR_FROM_ORIGIN),
     defect_view=view_disk,
 )
-REFERENCE = ShapeReference(
-    Disk, to_xml, (DISKS,), expected_disk, groups=frozenset({"quadric", "flat", "small"}), analytic=True
-)
+REFERENCE = ShapeReference(Disk, to_xml, (DISKS,), expected_disk, groups=("quadric", "flat", "small"), analytic=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.shapes.linear_curve import LinearCurve, RoundSegments
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR, DefectView, KnownDefect
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -23,7 +23,7 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
 )
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.oracle.exact_quadrics import SEGMENTS as EXACT
+from mitsuba_ref.oracle.exact_kinds import SEGMENTS as EXACT
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
 from mitsuba_ref.shapes.sphere import unit_sphere_points
@@ -109,13 +109,12 @@ def describe(part: RoundSegments, k: int) -> Fields:
 def expected(shape: LinearCurve, part: RoundSegments) -> Iterator[ExpectedNumbers]:
     """Both ends and radii of each segment, curve by curve. The contents of a file are checked elsewhere."""
     points, radii, counts = shape.curves()
-    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
+    linear = shape.matrix[:3, :3]
     curves = [(points[i : i + n], radii[i : i + n]) for i, n in zip(np.cumsum(counts) - counts, counts, strict=True)]
     ends = np.concatenate([np.stack([p[:-1], p[1:]], axis=1) for p, _ in curves])
     scale = np.exp(np.linalg.slogdet(linear)[1] / 3.0)
     sizes = scale * np.concatenate([np.column_stack([r[:-1], r[1:]]) for _, r in curves])
-    reach = np.abs(ends) @ np.abs(linear).T + np.abs(move)
-    yield ExpectedNumbers("ends", np.stack([part.start, part.end], axis=1), ends @ linear.T + move, reach)
+    yield expected_points(shape, "ends", np.stack([part.start, part.end], axis=1), ends)
     yield ExpectedNumbers("radii", part.radius, sizes, np.linalg.cond(linear) * sizes)
 
 
@@ -148,7 +147,7 @@ def view_segment(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> 
 
 # Embree leaves out the caps between the segments of a curve, which a ray from inside meets, and may report t = 0 there.
 STARTS_INSIDE = KnownDefect(
-    78, "a ray that starts within a curve, whose surface Mitsuba has in part", 24, "either", lambda m: m.starts_inside
+    78, "a ray that starts within a curve, whose surface Mitsuba has in part", 24, lambda m: m.starts_inside
 )
 
 

@@ -14,7 +14,7 @@ from caster.description.transform import dot_rows, product, row_lengths, sine_an
 from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point, transformed_normals
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points, transformed_normals
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -29,7 +29,7 @@ from mitsuba_ref.error_model.intersections import (
     without_edges,
     without_float_warnings,
 )
-from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
+from mitsuba_ref.oracle.exact_kinds import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import surface_errors
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, unit_vector_rounding_to
@@ -224,7 +224,7 @@ def describe_plane(part: Planes, k: int) -> Fields:
 def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """A point of the plane, and its normal transformed by the matrix of cofactors."""
     point = shape.point if shape.point is not None else np.multiply(shape.offset, shape.normal)
-    yield expected_point(shape, "point", part.point[0], np.array(point))
+    yield expected_points(shape, "point", part.point, np.array([point]))
     normal, size = transformed_normals(shape.matrix, np.array([shape.normal]))
     yield ExpectedNumbers("normal", part.normal, normal, size)
 
@@ -272,7 +272,7 @@ REFERENCE = ShapeReference(
     (PLANES,),
     expected_plane,
     random_fields,
-    groups=frozenset({"flat", "unbounded"}),
+    groups=("flat", "unbounded"),
     stand_in=patches,
     stand_in_note="in place of a plane Mitsuba traces a patch of triangles, which depends on the rays",
 )

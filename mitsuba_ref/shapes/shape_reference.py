@@ -111,7 +111,7 @@ class ShapeReference:
     random_fields: Callable[[Rng, bool], Fields] = no_fields
 
     # the groups that the fuzzer draws it in: "quadric", "flat", "mesh", "small" (few primitives)
-    groups: frozenset[str] = frozenset()
+    groups: tuple[str, ...] = ()
 
     # instead of being in a group: the type of a shape in whose place the fuzzer draws it once in four times
     drawn_for: str = ""
@@ -132,12 +132,12 @@ class ShapeReference:
 # ---- packed numbers back into the fields of a scene file, to the bit ----
 
 
-def describe_unit_shape(type_name: str) -> Callable[[Any, int], Fields]:
-    """`describe` of primitives that are a unit shape under a matrix."""
+def describe_unit_shape(type_name: str, **fields: Any) -> Callable[[Any, int], Fields]:
+    """`describe` of primitives that are a unit shape, one of these fields, under a matrix."""
 
     def describe(part: Any, k: int) -> Fields:
         rows = np.column_stack([part.to_world[k], part.center[k]]).tolist()
-        return {"type": type_name, "to_world": [{"matrix": [*rows, [0.0, 0.0, 0.0, 1.0]]}]}
+        return {"type": type_name, **fields, "to_world": [{"matrix": [*rows, [0.0, 0.0, 0.0, 1.0]]}]}
 
     return describe
 

@@ -1,18 +1,27 @@
-"""Spheres and ellipsoids: Mitsuba's sphere, or an instance of one if stretched; error model and targets."""
+"""Spheres and ellipsoids: Mitsuba's sphere, or an instance of one if stretched, and its `ellipsoids`, which rays meet
+from outside only; error models and targets."""
 
 import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from caster.geometry.mesh_files import load_points
-from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
+from caster.shapes.sphere import EllipsoidCloud, Ellipsoids, OuterEllipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
-from mitsuba_ref.error_model.defect_conditions import FAR_IN_SIZES, STARTS_ON_CURVED, STRETCHED, DefectView, KnownDefect
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
+from mitsuba_ref.error_model.defect_conditions import (
+    FAR_IN_SIZES,
+    STARTS_ON_CURVED,
+    STRETCHED,
+    DefectView,
+    KnownDefect,
+    small_and_far,
+)
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -28,9 +37,8 @@ from mitsuba_ref.error_model.intersections import (
     without_edges,
 )
 from mitsuba_ref.error_model.tolerances import SIMILARITY_ROUNDINGS, TRANSFORM_ROUNDINGS
-from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
-from mitsuba_ref.oracle.exact_quadrics import SPHERES as EXACT_SPHERES
-from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
+from mitsuba_ref.oracle import exact_kinds
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, float_columns
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (
     SPHERE_UV,
@@ -115,9 +123,8 @@ def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     else:
         centers, own = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
         radii = np.full(len(centers), shape.radius or 1.0) if own is None else np.array(own)
-    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
-    size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
-    yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)
+    linear = shape.matrix[:3, :3]
+    yield expected_points(shape, "center", part.center, centers)
     if hasattr(part, "radius"):
         yield from similarity_numbers(linear, radii, part)
     else:
@@ -183,24 +190,21 @@ TANGENT = KnownDefect(
     4,
     "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
     5,
-    "missed",
     lambda m: "tangent" in m.where,
+    "missed",
 )
-SMALL_AND_FAR = KnownDefect(
-    2, "a sphere that is small and far away", 17, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
-)
+SMALL_AND_FAR = KnownDefect(2, "a sphere that is small and far away", 17, small_and_far)
 FAR_FROM_ORIGIN = KnownDefect(
     9,
     "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
     19,
-    "either",
     lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
 )
 DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
-    ErrorModel(intersect, EXACT_SPHERES, uv=SPHERES_UV),
+    ErrorModel(intersect, exact_kinds.SPHERES, uv=SPHERES_UV),
     describe_sphere,
     on_spheres,
     describe_all=describe_spheres,
@@ -211,7 +215,9 @@ SPHERES = PrimitiveReference(
 )
 ELLIPSOIDS = PrimitiveReference(
     Ellipsoids,
-    ErrorModel(intersect_ellipsoid, EXACT_ELLIPSOIDS, ours_through_object_space(intersect_ellipsoid), uv=SPHERE_UV),
+    ErrorModel(
+        intersect_ellipsoid, exact_kinds.ELLIPSOIDS, ours_through_object_space(intersect_ellipsoid), uv=SPHERE_UV
+    ),
     describe_unit_shape("sphere"),
     on_unit_shape(unit_sphere_points),
     derived=("to_object",),
@@ -220,20 +226,103 @@ ELLIPSOIDS = PrimitiveReference(
     defect_view=view_ellipsoid,
 )
 CLOUD = ShapeReference(
-    SphereCloud,
-    to_xml,
-    (SPHERES, ELLIPSOIDS),
-    expected_spheres,
-    random_cloud,
-    groups=frozenset({"quadric"}),
-    analytic=True,
+    SphereCloud, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_cloud, groups=("quadric",), analytic=True
 )
 REFERENCE = ShapeReference(
-    Sphere,
-    to_xml,
-    (SPHERES, ELLIPSOIDS),
-    expected_spheres,
-    random_fields,
-    groups=frozenset({"quadric", "small"}),
+    Sphere, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_fields, groups=("quadric", "small"), analytic=True
+)
+
+# Properties of Mitsuba's file; it reads those between nz and scale_0 as an attribute `exact` of the shape.
+PROPERTIES = (
+    *("x", "y", "z", "nx", "ny", "nz"),
+    *(f"exact_{i}" for i in range(7)),
+    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+)
+
+
+def ellipsoids_to_xml(out: ShapeWriter, shape: EllipsoidCloud, part: OuterEllipsoids) -> list[XmlElement]:
+    """A PLY file of centres, logarithms of the semi-axes, and quaternions.
+
+    Mitsuba takes the exponential of the logarithms in float32, which rounds. When rays are traced, the numbers `exact`
+    replace the result (mitsuba_calls.py).
+    """
+    turn, radii, _ = np.linalg.svd(part.to_world)
+    x, y, z, w = as_quaternions(turn * np.linalg.det(turn)[:, None, None]).T  # mirrored, an ellipsoid is the same
+    columns = [*part.center.T, *np.zeros((3, len(radii))), *radii.T, x, y, z, w, *np.log(radii).T, w, x, y, z]
+    file = out.file("ply", float_columns(dict(zip(PROPERTIES, columns, strict=True))))
+    element = Element("shape", type="ellipsoids", id=out.name)
+    SubElement(element, "string", name="filename", value=file)
+    SubElement(element, "float", name="extent", value="1")
+    element.append(out.material(shape))
+    return [element]
+
+
+def as_quaternions(turn: np.ndarray) -> np.ndarray:
+    """(n, 4) unit quaternions x, y, z, w of rotation matrices (n, 3, 3)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(turn, 0, 2)
+    # four times the outer product of the quaternion with itself
+    rows = [
+        [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+        [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
+        [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
+        [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz],
+    ]
+    return np.asarray(np.linalg.eigh(np.moveaxis(np.array(rows), 2, 0))[1][:, :, -1])
+
+
+def enter_ellipsoid(*arguments: Any, float32: bool = True) -> tuple[Intersections, ...]:
+    """Where ray i enters ellipsoid k[i]. float32: as Mitsuba computes it."""
+    return intersect_round(*arguments, ends=False, float32=float32)[:1]
+
+
+def expected_ellipsoids(shape: EllipsoidCloud, part: OuterEllipsoids) -> Iterator[ExpectedNumbers]:
+    """Centres, and A A^T, the ellipsoid itself: it is the same for mirrored axes or in another order."""
+    centers, scales, quaternions = shape.ellipsoids()
+    linear = shape.matrix[:3, :3]
+    yield expected_points(shape, "center", part.center, centers)
+    unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
+    # q p q* of each axis p: p + 2 w (v x p) + 2 v x (v x p)
+    v, w = unit[:, None, :3], unit[:, None, 3:]
+    once = np.cross(v, np.eye(3))
+    axes = (np.eye(3) + 2.0 * (w * once + np.cross(v, once))) * (shape.extent * scales)[:, :, None] @ linear.T
+    reach = np.linalg.norm(linear, axis=1) * (shape.extent * scales).max(axis=1)[:, None]
+    squares = np.einsum("nki,nkj->nij", axes, axes)
+    packed = np.einsum("nik,njk->nij", part.to_world, part.to_world)
+    yield ExpectedNumbers("ellipsoid", packed, squares, reach[:, :, None] * reach[:, None, :])
+
+
+def random_ellipsoids(rng: Rng, lattice: bool) -> Fields:
+    """One to eight ellipsoids; on the lattice turned by quarters of a turn or not at all."""
+    count = int(rng.integers(1, 9))
+    turns = [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 1.0]]
+    return {
+        "centers": [random_point(rng, lattice) for _ in range(count)],
+        "scales": [[random_length(rng, lattice) for _ in range(3)] for _ in range(count)],
+        "quaternions": [turns[int(rng.integers(3))] if lattice else rng.normal(size=4).tolist() for _ in range(count)],
+    }
+
+
+OUTER_ELLIPSOIDS = PrimitiveReference(
+    OuterEllipsoids,
+    ErrorModel(
+        enter_ellipsoid,
+        exact_kinds.OUTER_ELLIPSOIDS,
+        ours_through_object_space(partial(enter_ellipsoid, float32=False)),
+        uv=UvSpace(sphere_uv_points, None),
+    ),
+    describe_unit_shape("ellipsoids", **EllipsoidCloud.MINIMAL),
+    on_unit_shape(unit_sphere_points),
+    derived=("to_object",),
+    rounding_groups=(by_matrix,),
+    known_defects=(*DEFECTS, STRETCHED),
+    defect_view=view_ellipsoid,
+)
+ELLIPSOID_CLOUD = ShapeReference(
+    EllipsoidCloud,
+    ellipsoids_to_xml,
+    (OUTER_ELLIPSOIDS,),
+    expected_ellipsoids,
+    random_ellipsoids,
     analytic=True,
+    drawn_for="spheres",
 )

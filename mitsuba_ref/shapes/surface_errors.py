@@ -28,7 +28,7 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
 )
 from mitsuba_ref.error_model.tolerances import K
-from mitsuba_ref.oracle.exact_planar import TRIANGLES
+from mitsuba_ref.oracle.exact_kinds import TRIANGLES
 
 # If the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
 UNRESOLVABLE = 0.5

@@ -8,7 +8,7 @@ from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
 from mitsuba_ref.oracle.boxes import BoxTree
 from mitsuba_ref.oracle.exact_numbers import integer_rays
-from mitsuba_ref.oracle.oracle import BOX_MARGIN, EXACT_KINDS, Oracle
+from mitsuba_ref.oracle.oracle import BOX_MARGIN, Oracle
 
 COUNT = 300
 
@@ -16,14 +16,14 @@ COUNT = 300
 def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     """(pairs that meet and are sorted out, or met before `near`; pairs that meet; pairs that are sorted out)."""
     prims, o, d = aim(kind, scale, seed, COUNT)
-    arithmetic = EXACT_KINDS[type(prims)]
+    (part,) = Oracle(packed(prims)).primitives.parts
     kept, near = np.zeros(COUNT, bool), np.full(COUNT, math.inf)
-    for found in BoxTree(*arithmetic.boxes(prims), BOX_MARGIN).crossings(o, d, -math.inf):
+    for found in BoxTree(*part.kind.boxes(prims), BOX_MARGIN).crossings(o, d, -math.inf):
         own = found.ray == found.box
         kept[found.ray[own]], near[found.ray[own]] = True, found.near[own]
     wrong = meeting = 0
     for i, ray in enumerate(integer_rays(o, d)):
-        met = arithmetic.intersect(arithmetic.prepare(prims, i), ray)
+        met = part.intersect(i, ray)
         first = [t for t, _ in met.roots] + [touch.first for touch in met.contacts if touch.first is not None]
         meeting += bool(first)
         wrong += any(not kept[i] or t < near[i] for t in first)

@@ -1,7 +1,7 @@
 """The judge's side of coin_plugin.py."""
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from coin_plugin import Coin, Coins, Scanner
@@ -13,7 +13,7 @@ from mitsuba_ref.cameras.camera_reference import CameraRays, CameraReference, ca
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, by_normal
-from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, scaled, shifted, sub
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, shifted, sub
 from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections, next_above, next_below
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import disk, register
@@ -46,30 +46,22 @@ def intersect(prims: Coins, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: flo
 # ---- exact arithmetic: every number a whole number times a power of two
 
 
-class IntegerCoin(NamedTuple):
-    """Centre and radius times 2^k."""
-
-    center: Integers3
-    radius: int
-    k: int
+def vectors(prims: Coins, k: Any) -> np.ndarray:
+    """The centre, and the radius three times."""
+    return np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2)
 
 
-def prepare(prims: Coins, k: int) -> IntegerCoin:
-    (x, y, z, radius), scale = scaled([*prims.center[k].tolist(), float(prims.radius[k])])
-    return IntegerCoin((x, y, z), radius, scale)
-
-
-def intersect_exactly(coin: IntegerCoin, ray: IntegerRay) -> LineIntersections:
+def intersect_exactly(coin: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
     """t = f.z / d.z for f from the origin to the centre; there, x^2 + y^2 against r^2, all times d.z^2."""
-    scale = max(coin.k, ray.ko)
-    f = sub(shifted(coin.center, scale - coin.k), shifted(ray.o, scale - ray.ko))
+    center, (radius, *_) = (shifted(v, bits) for v in coin)
+    f = sub(center, ray.o)
     if not ray.d[2]:
         return NO_INTERSECTION if f[2] else LineIntersections((), (Contact("edge_on", None, None),))
     x, y = (f[2] * ray.d[i] - f[i] * ray.d[2] for i in (0, 1))
-    beyond = x * x + y * y - ((coin.radius << (scale - coin.k)) * ray.d[2]) ** 2
+    beyond = x * x + y * y - (radius * ray.d[2]) ** 2
     if beyond > 0:
         return NO_INTERSECTION
-    return LineIntersections(((Root(f[2], 0, 0, ray.d[2], ray.kd - scale), "inside" if beyond else "rim"),))
+    return LineIntersections(((Root(f[2], 0, 0, ray.d[2], ray.e), "inside" if beyond else "rim"),))
 
 
 def boxes(prims: Coins) -> tuple[np.ndarray, np.ndarray]:
@@ -99,18 +91,14 @@ def defect_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> D
 
 COINS = PrimitiveReference(
     Coins,
-    ErrorModel(intersect, ExactKind(boxes, prepare, intersect_exactly), uv=disk.UV),
+    ErrorModel(intersect, ExactKind(boxes, vectors, intersect_exactly), uv=disk.UV),
     describe,
     surface_points,
     rounding_groups=(by_normal,),
     known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
     defect_view=defect_view,
 )
-register(
-    ShapeReference(
-        Coin, to_xml, (COINS,), expected_coin, random_fields, groups=frozenset({"flat", "small"}), analytic=True
-    )
-)
+register(ShapeReference(Coin, to_xml, (COINS,), expected_coin, random_fields, groups=("flat", "small"), analytic=True))
 
 
 def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:

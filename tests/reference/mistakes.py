@@ -149,7 +149,7 @@ def interpolated(scene, o, d, t, n):
 
 def through_corners(scene, o, d):
     from mitsuba_ref.cameras.camera_reference import to_world_directions
-    from mitsuba_ref.cameras.with_sensor import half_extents
+    from mitsuba_ref.cameras.references import half_extents
 
     film, across = scene.film, half_extents(scene.camera, scene.film)
     y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))

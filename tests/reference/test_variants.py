@@ -23,7 +23,7 @@ def nothing_known(tmp_path, monkeypatch):
     """An empty cache folder, nothing remembered, nothing chosen."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(VARIANT_VARIABLE, raising=False)
-    monkeypatch.setattr(variants, "_usable_by_key", {})
+    monkeypatch.setattr(variants, "_outcomes", {})
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def libraries(tmp_path, monkeypatch):
 
 def forget(monkeypatch):
     """Forget outcomes, as a new process has none."""
-    monkeypatch.setattr(variants, "_usable_by_key", {})
+    monkeypatch.setattr(variants, "_outcomes", {})
 
 
 def test_what_is_stated_to_work_here_works(tmp_path):
@@ -168,7 +168,7 @@ def test_no_library_at_all_is_stated(libraries, trials, monkeypatch):
 @pytest.mark.parametrize("change", ["mtime", "size", "gone", "versions", "processor", "chosen"])
 def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, monkeypatch, change):
     first = usable_variants()
-    assert usable_variants() is first and len(trials.tried) == 2
+    assert usable_variants() == first and len(trials.tried) == 2
     forget(monkeypatch)
     assert usable_variants() == first and len(trials.tried) == 2  # by the next process
     forget(monkeypatch)
@@ -187,7 +187,7 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
     else:
         monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, libraries[0])
     usable_variants()
-    assert len(trials.tried) == 4
+    assert len(trials.tried) == (4 if change in ("versions", "processor", "chosen") else 3)  # scalar has no library
 
 
 @pytest.mark.parametrize("problem", ["killed after 60 s", "exit code 1: no module mitsuba", "SIGKILL"])
@@ -286,8 +286,8 @@ def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypa
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"scalar": true}', b"[" * 100_000])
 def test_a_damaged_outcome_is_found_out_again(libraries, trials, monkeypatch, content):
     before = usable_variants()
-    (kept,) = user_store().folder.iterdir()
-    user_store().put(kept.stem, content)
+    for kept in user_store().folder.iterdir():
+        user_store().put(kept.stem, content)
     forget(monkeypatch)
     trials.tried.clear()
     assert usable_variants() == before and trials.tried

@@ -1,6 +1,7 @@
 """`mitsuba-ref bench` counts right, finds every planted fault and reports all of it. No Mitsuba, no timing."""
 
 import json
+import signal
 import sys
 from dataclasses import replace
 from typing import ClassVar
@@ -14,12 +15,13 @@ from pages import read_result
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring
 from mitsuba_ref.bench.casters import BY_KEY
-from mitsuba_ref.bench.drivers import AOVS, FILM, Work
-from mitsuba_ref.bench.measuring import CasterEnded, CasterProcess, Settings, time_scene
+from mitsuba_ref.bench.drivers import AOVS, FILM
+from mitsuba_ref.bench.measuring import CasterEnded, CasterRun, Settings, time_scene
 from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Score, as_text, overview, rows
 from mitsuba_ref.bench.scenes import SCENES
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.cli.doctor import result_schema
+from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded
 from mitsuba_ref.report.results import as_json, write_result
 
 BY_NAME = {scene.name: scene for scene in SCENES}
@@ -91,12 +93,15 @@ class Fake:
     def __init__(self, key: str, dies_at: int = 1000) -> None:
         self.key, self.left, self.closed = key, dies_at, False
 
-    def request(self, **request):
+    def ask(self, data, timeout):
+        return json.dumps(self.reply(json.loads(data))).encode()
+
+    def reply(self, request):
         if request["do"] == "cast":
             Fake.log.append(self.key)
             self.left -= 1
             if self.left < 0:
-                raise CasterEnded("died: SIGSEGV")
+                raise ProcessEnded(ProcessEnd(-signal.SIGSEGV, "", 0.0))
             return {"seconds": 2.0 if self.key == "raw-default" else 1.0, "rays": 256}
         if request["do"] == "answer":
             with np.load(request["rays"]) as rays:
@@ -140,7 +145,6 @@ def test_a_crash_of_one_caster_leaves_the_others_running(monkeypatch):
 
 # --- processes
 
-WORK = Work("/nowhere", FILM, 1, "drivers:Ours")
 READ = "import os, sys; sys.stdin.buffer.read(8); "
 REPLY = READ + "sys.stdout.buffer.write(len({0}).to_bytes(8, 'little') + {0}); sys.stdout.flush(); sys.stdin.read()"
 ENDS = {
@@ -156,12 +160,12 @@ ENDS = {
 def test_every_end_of_a_process_is_a_reason(script, monkeypatch):
     monkeypatch.setattr(measuring, "REQUEST_TIMEOUT_S", 0.5 if "sleep" in script else 30.0)
     monkeypatch.setattr(measuring, "WORKER", (sys.executable, "-c", script))
-    process = CasterProcess(WORK, {})
+    process = measuring.start_process(BY_KEY["ours"], "/nowhere", BY_NAME["one-sphere"], 1)
     with pytest.raises(CasterEnded) as end:
-        process.request(do="build", size=4)
+        CasterRun(BY_KEY["ours"], 4, process).request(do="build", size=4)
     assert str(end.value) == ENDS[script]
     process.close()  # again does nothing
-    assert not process.process.alive
+    assert not process.alive
 
 
 # --- results

@@ -1,0 +1,326 @@
+"""Exact intersection with each kind of primitive.
+
+Planes by a linear equation, triangles by signs of determinants, spheres and round segments by quadratic equations, and
+unit shapes under a matrix by its exact inverse.
+"""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, cross, dot, shifted, sign_with_root, sub
+from mitsuba_ref.oracle.implicit_surfaces import ImplicitSurface, Vector
+from mitsuba_ref.oracle.interface import (
+    DEGENERATE,
+    NO_INTERSECTION,
+    Contact,
+    ExactKind,
+    LineIntersections,
+    contact,
+    next_above,
+    next_below,
+)
+
+LINE_IN_PLANE = LineIntersections((), (Contact("edge_on", None, None),))
+
+
+def plane_vectors(prims: Any, k: Any) -> np.ndarray:
+    return np.stack([prims.normal[k], prims.point[k]], axis=-2)
+
+
+def intersect_plane(plane: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """All p with normal . (p - point) = 0; the scale of the normal does not matter."""
+    normal, point = plane
+    if not any(normal):
+        return DEGENERATE
+    height, slope = dot(normal, sub(shifted(point, bits), ray.o)), dot(normal, ray.d)
+    if slope:
+        return LineIntersections(((Root(height, 0, 0, slope, ray.e), "inside"),))
+    return NO_INTERSECTION if height else LINE_IN_PLANE
+
+
+def infinite_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    everywhere = np.full(np.shape(prims.point), np.inf)
+    return -everywhere, everywhere
+
+
+def plane_surface(plane: Sequence[Vector]) -> ImplicitSurface:
+    normal, point = plane
+    return ImplicitSurface(point, (normal,))
+
+
+PLANES = ExactKind(infinite_boxes, plane_vectors, intersect_plane, surface=plane_surface)
+
+
+# Exact ray-triangle intersection by the signs of three determinants.
+
+
+# Embree drops a face with a coordinate as large as this, and so does the oracle.
+LARGEST_COORDINATE = 1844 * 10**15
+
+WHERE = ("inside", "edge", "vertex")  # by the number of edge functions that are 0
+
+
+def corners_of(prims: Any, k: Any) -> np.ndarray:
+    corners: np.ndarray = prims.vertices[prims.faces[k]]
+    return corners
+
+
+def intersect_triangle(corners: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """With corners a, b, c relative to o and normal N: t d.N = a.N, where a.N = a.(b x c) and d.N = U + V + W."""
+    a, b, c = (sub(shifted(corner, bits), ray.o) for corner in corners)
+    bc = cross(b, c)
+    u, v, w = dot(ray.d, bc), dot(ray.d, cross(c, a)), dot(ray.d, cross(a, b))
+    if (u < 0 or v < 0 or w < 0) and (u > 0 or v > 0 or w > 0):
+        return NO_INTERSECTION
+    area = u + v + w
+    if area == 0:  # then all three are 0
+        return _edge_on((a, b, c), ray)
+    t = Root(dot(a, bc), 0, 0, area, ray.e)
+    if any(abs(x) >= LARGEST_COORDINATE << (ray.ko - bits) for corner in corners for x in corner):
+        return contact("dropped", [t])
+    return LineIntersections(((t, WHERE[(u == 0) + (v == 0) + (w == 0)]),))
+
+
+def _edge_on(corners: tuple[Integers3, Integers3, Integers3], ray: IntegerRay) -> LineIntersections:
+    """A ray in the plane of a triangle: no hit, but a contact if it passes through the triangle.
+
+    Projected along d, all corners lie on one line through the ray, at offsets s. The ray crosses corners with s = 0 and
+    edges whose ends have s of opposite signs.
+    """
+    axis = next(i for i in range(3) if ray.d[i])
+    flat = [cross(corner, ray.d) for corner in corners]
+    line = next((f for f in flat if any(f)), (0, 0, 0))
+    offsets = [dot(f, line) for f in flat]
+    steps = [Fraction(corner[axis], ray.d[axis]) for corner in corners]  # t of the corners' projections onto the ray
+    crossed = [step for offset, step in zip(offsets, steps, strict=True) if offset == 0]
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        if offsets[i] * offsets[j] < 0:
+            crossed.append((offsets[j] * steps[i] - offsets[i] * steps[j]) / (offsets[j] - offsets[i]))
+    a, b, c = corners
+    why = "edge_on" if any(cross(sub(b, a), sub(c, a))) else "degenerate"
+    return contact(why, [Root(t.numerator, 0, 0, t.denominator, ray.e) for t in crossed])
+
+
+BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at once
+
+
+def triangle_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.empty((len(prims.faces), 3)), np.empty((len(prims.faces), 3))
+    for start in range(0, len(low), BOXES_PER_CHUNK):
+        rows = slice(start, start + BOXES_PER_CHUNK)
+        a, b, c = (prims.vertices[corner] for corner in prims.faces[rows].T)
+        low[rows], high[rows] = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return low, high
+
+
+def finite_faces(prims: Any) -> np.ndarray:
+    """All but faces with a corner that is nowhere."""
+    return np.isfinite(prims.vertices).all(axis=1)[prims.faces].all(axis=1)
+
+
+def triangle_surface(corners: Sequence[Vector]) -> ImplicitSurface:
+    a, b, c = corners
+    return ImplicitSurface(a, (cross(sub(b, a), sub(c, a)),), corners=(a, b, c))
+
+
+TRIANGLES = ExactKind(triangle_boxes, corners_of, intersect_triangle, finite_faces, triangle_surface)
+
+
+class ObjectRay(NamedTuple):
+    """A ray in the object space of a unit shape, scaled up: (o + s d) / size, where t = s 2^e."""
+
+    o: Integers3
+    d: Integers3
+    size: int  # the determinant; 0 for a singular matrix
+    e: int
+
+
+def cofactors(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
+    """(rows of the adjugate, determinant) of the matrix with these columns, in any numbers."""
+    rows = cross(b, c), cross(c, a), cross(a, b)
+    return rows, dot(a, rows[0])
+
+
+def affine_vectors(prims: Any, k: Any) -> np.ndarray:
+    """The centre and the columns of the matrix."""
+    return np.concatenate([prims.center[k][..., None, :], prims.to_world[k].swapaxes(-1, -2)], axis=-2)
+
+
+def to_object_space(affine: Sequence[Integers3], bits: int, ray: IntegerRay) -> ObjectRay:
+    """The inverse is the adjugate over the determinant, which has one length more: its unit is shifted."""
+    center, *columns = affine
+    (x, y, z), determinant = cofactors(*columns)
+    o, d = ((dot(x, v), dot(y, v), dot(z, v)) for v in (sub(ray.o, shifted(center, bits)), ray.d))
+    return ObjectRay(o, d, determinant << bits, ray.e)
+
+
+# A sum of three magnitudes and this product take three roundings, each down by at most 2^-53 of the result.
+ROUNDED_UP = 1.0 + 8 * 2.0**-53
+
+
+def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes around the image of the cube [-1, 1]^3."""
+    with np.errstate(over="ignore"):
+        reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
+        return next_below(prims.center - reach), next_above(prims.center + reach)
+
+
+def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Root]:
+    """All t = s 2^e with |o + s d| = size, ascending: two, one for a tangent, or none. d != 0.
+
+    a s^2 + 2 b s + c = 0 with a = d.d, b = o.d, c = o.o - size^2, so s = (-b -+ sqrt(b^2 - a c)) / a.
+    """
+    a, b = dot(d, d), dot(o, d)
+    inside = b * b - a * (dot(o, o) - size * size)
+    if inside < 0:
+        return []
+    return [Root(-b, side, inside, a, e) for side in ((-1, 1) if inside else (0,))]
+
+
+def sphere_vectors(prims: Any, k: Any) -> np.ndarray:
+    """The centre, and the radius three times."""
+    return np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2)
+
+
+def intersect_sphere(sphere: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """All p with |p - center| = radius."""
+    center, (radius, *_) = sphere
+    return _closed(line_sphere_roots(sub(ray.o, shifted(center, bits)), ray.d, radius << bits, ray.e))
+
+
+def intersect_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    local = to_object_space(ellipsoid, bits, ray)
+    return _closed(line_sphere_roots(*local)) if local.size else DEGENERATE
+
+
+def enter_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """Where the line enters it."""
+    found = intersect_ellipsoid(ellipsoid, bits, ray)
+    return found._replace(roots=found.roots[:1])
+
+
+def _closed(roots: list[Root]) -> LineIntersections:
+    where = "tangent" if len(roots) == 1 else "inside"
+    return LineIntersections(tuple((root, where) for root in roots))
+
+
+def intersect_cylinder(cylinder: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """Roots of the circle in x and y that have z between 0 and size."""
+    o, d, size, e = local = to_object_space(cylinder, bits, ray)
+    if not size:
+        return DEGENERATE
+    if not (d[0] or d[1]):
+        return _along_cylinder_wall(local)
+    found = []
+    for root, where in _closed(line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)).roots:
+        from_ends = height(root, o[2], d[2]) * height(root, o[2] - size, d[2])
+        if from_ends <= 0:
+            found.append((root, where if from_ends or where == "tangent" else "rim"))
+    return LineIntersections(tuple(found))
+
+
+def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
+    """A ray parallel to the axis is a miss; within the wall it has a contact from one end to the other."""
+    (x, y, z), (_, _, slope), size, e = ray
+    if x * x + y * y != size * size:
+        return NO_INTERSECTION
+    return contact("edge_on", [Root(-z, 0, 0, slope, e), Root(size - z, 0, 0, slope, e)])
+
+
+def intersect_disk(disk: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """z is 0 at s = -o.z / d.z; x^2 + y^2 there is compared with size^2, both times d.z^2."""
+    (ox, oy, oz), (dx, dy, dz), size, e = to_object_space(disk, bits, ray)
+    if not size:
+        return DEGENERATE
+    if not dz:  # within the plane: from where it enters the circle to where it leaves
+        return NO_INTERSECTION if oz else contact("edge_on", line_sphere_roots((ox, oy, 0), (dx, dy, 0), size, e))
+    x, y = ox * dz - oz * dx, oy * dz - oz * dy
+    beyond = x * x + y * y - (size * dz) ** 2
+    if beyond > 0:
+        return NO_INTERSECTION
+    return LineIntersections(((Root(-oz, 0, 0, dz, e), "inside" if beyond else "rim"),))
+
+
+def height(root: Root, o: int, d: int) -> int:
+    """Sign of o + s d at the root s = (p + q sqrt(r)) / a, a > 0."""
+    return sign_with_root(root.s * o + root.p * d, root.q * d, root.r)
+
+
+def segment_vectors(prims: Any, k: Any) -> np.ndarray:
+    """Start and end, the radii there, of which the second twice."""
+    return np.stack([prims.start[k], prims.end[k], prims.radius[k][..., [0, 1, 1]]], axis=-2)
+
+
+def enter_segment(segment: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+    """Where the line enters the hull: of the cone and both spheres the one root that lies on it.
+
+    The hull of the spheres around both ends is the union of spheres around start + v axis with radii r + v grow,
+    0 <= v <= 1. A point at s d is on the sphere v that touches the cone there if size v = (o + s d) . axis + r grow,
+    where size = axis^2 - grow^2; those with v < 0 and v > 1 are on the spheres. With h = o + s d, the cone is
+    size (h^2 - r^2) = (h . axis + r grow)^2.
+    """
+    start, end, (r, q, _) = (shifted(v, bits) for v in segment)
+    o, axis, grow, e = sub(ray.o, start), sub(end, start), q - r, ray.e
+    size, lift, rise = dot(axis, axis) - grow * grow, dot(o, axis) + r * grow, dot(ray.d, axis)
+    at_start, at_end = line_sphere_roots(o, ray.d, r, e)[:1], line_sphere_roots(sub(o, axis), ray.d, q, e)[:1]
+    found = [root for root in at_start if height(root, lift, rise) < 0]
+    found += [root for root in at_end if height(root, lift - size, rise) > 0]
+    a = size * dot(ray.d, ray.d) - rise * rise
+    if size > 0:
+        on_cone = entering_roots(a, size * dot(o, ray.d) - lift * rise, size * (dot(o, o) - r * r) - lift * lift, e)
+        found += [root for root in on_cone if height(root, lift, rise) >= 0 >= height(root, lift - size, rise)]
+    return LineIntersections(tuple((root, "inside" if root.q or not a else "tangent") for root in found))
+
+
+def entering_roots(a: int, b: int, c: int, e: int) -> list[Root]:
+    """The t = s 2^e at which a s^2 + 2 b s + c is 0 and does not increase: at most one."""
+    if a == 0:
+        return [Root(-c, 0, 0, 2 * b, e)] if b < 0 else []
+    inside = b * b - a * c
+    return [Root(-b, -1, inside, a, e)] if inside >= 0 else []
+
+
+def segment_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    r = prims.radius
+    with np.errstate(over="ignore"):
+        low = np.minimum(prims.start - r[:, :1], prims.end - r[:, 1:])
+        return next_below(low), next_above(np.maximum(prims.start + r[:, :1], prims.end + r[:, 1:]))
+
+
+def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    r = prims.radius[:, None]
+    with np.errstate(over="ignore"):
+        return next_below(prims.center - r), next_above(prims.center + r)
+
+
+def sphere_surface(sphere: Sequence[Vector]) -> ImplicitSurface:
+    center, (radius, *_) = sphere
+    return ImplicitSurface(center, size=radius)
+
+
+def ellipsoid_surface(affine: Sequence[Vector]) -> ImplicitSurface:
+    """In object space scaled by the determinant; the rows are those of the adjugate."""
+    center, *columns = affine
+    return ImplicitSurface(center, *cofactors(*columns))
+
+
+def cylinder_surface(affine: Sequence[Vector]) -> ImplicitSurface:
+    around = ellipsoid_surface(affine)
+    return around._replace(rows=around.rows[:2])
+
+
+def disk_surface(affine: Sequence[Vector]) -> ImplicitSurface:
+    around = ellipsoid_surface(affine)
+    return ImplicitSurface(around.origin, around.rows[2:])
+
+
+SPHERES = ExactKind(sphere_boxes, sphere_vectors, intersect_sphere, surface=sphere_surface)
+# Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
+SEGMENTS = ExactKind(segment_boxes, segment_vectors, enter_segment)
+ELLIPSOIDS = ExactKind(affine_boxes, affine_vectors, intersect_ellipsoid, surface=ellipsoid_surface)
+OUTER_ELLIPSOIDS = ELLIPSOIDS._replace(intersect=enter_ellipsoid)
+CYLINDERS = ELLIPSOIDS._replace(intersect=intersect_cylinder, surface=cylinder_surface)
+DISKS = ELLIPSOIDS._replace(intersect=intersect_disk, surface=disk_surface)
