@@ -33,7 +33,8 @@ from caster.jit.kernel_cache import (
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-OPTIONS = {"nogil": True, "error_model": "numpy"}  # no fast-math, IEEE division, no GIL
+# No fast-math, IEEE division, no GIL. Numba inlines what an inlined function calls first, unless told not to.
+OPTIONS = {"nogil": True, "error_model": "numpy", "forceinline": False}
 
 Key = tuple[tuple[Any, ...], int]  # key of the arguments, and the number of bodies registered
 
@@ -332,7 +333,7 @@ _IMPLEMENTED: list[Any] = []  # all bodies; a new one may change what a kernel r
 
 def generic(stub: Function) -> Function:
     """Declare a protocol function; `implement(function, Kind)` gives it a body for one kind."""
-    return _declared(stub, {})
+    return _declared(stub, {"forceinline": False})
 
 
 def generic_inlined(stub: Function) -> Function:

@@ -23,7 +23,7 @@ from caster.geometry.edge_distances import (
 )
 from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
-from caster.jit.decorators import implement, jit
+from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import (
     exact_quadric_roots,
@@ -246,7 +246,7 @@ class EllipsoidCloud(Shape):
         return OuterEllipsoids(center, to_world, np.stack([*map(inverse, to_world)]))
 
 
-@jit
+@inlined
 def spherical_uv(q: Any) -> tuple[float, float]:
     """uv of a point of the unit sphere: azimuth as a fraction of a turn, polar angle over pi."""
     return turn_fraction(q[1], q[0]), polar_fraction(min(max(q[2], -1.0), 1.0))

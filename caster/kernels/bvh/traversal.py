@@ -7,8 +7,8 @@ from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet, lane_max, lane_max_of_sums, lane_min
-from caster.kernels.math.vec import l1_norm, max_norm, row
-from caster.kernels.nearest import KeepNearest
+from caster.kernels.math.vec import l1_norm, max_norm
+from caster.kernels.nearest import KeepFirst, KeepNearest, ray_at, store_first
 from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
 from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_MIN, UNCERTAIN, T, cast_lanes, get, lane
 
@@ -80,8 +80,8 @@ def pop_beyond(top: int, limit: float, workspace: Any) -> int:
 
 
 @inlined
-def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, workspace: Any) -> Any:
-    """The best of ray i (o, d, t_min, t_max) after traversing the tree of a kind, near boxes first.
+def traverse(mode: Any, prims: Any, tree: Any, ray: Any, best: Any, workspace: Any) -> Any:
+    """The best of a ray (o, d, t_min, t_max) after traversing the tree of a kind, near boxes first.
 
     A box at exactly the nearest t is opened, so no tie is lost. workspace: see rendering.ray_tiles.new_workspace.
     """
@@ -102,7 +102,7 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
                 k = tree.order[at]
                 pre = prepare(prims, load(prims, k), o)
                 if not surely_misses(prims, pre, d):
-                    best = update_best(mode, best, i, k, intersect(prims, pre, d, t_min, t_max))
+                    best = update_best(mode, best, k, intersect(prims, pre, d, t_min, t_max))
             limit = min(t_max, best[0] + best[1])
         top = pop_beyond(top, limit, workspace) - 1
         inside = stack[top]
@@ -110,11 +110,15 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
 
 
 @jit
-def list_candidates_in_tree(mode: Any, prims: Any, tree: Any, rays: Any, sketch: Any, span: Any, room: Any) -> None:
-    """`list_candidates` of rays span[0]..span[1] through the tree of a kind; room: the workspace of `traverse`."""
-    for i in range(span[0], span[1]):
-        ray = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
-        traverse(mode, prims, tree, i, ray, (sketch.t[i], sketch.error[i], -1, False), room)
+def find_first_in_tree(
+    prims: Any, tree: Any, workspace: Any, rays: Any, sketch: Any, found: Any, start: int, stop: int
+) -> None:
+    """`find_first` through the tree of a kind."""
+    for i in range(start, stop):
+        ray = ray_at(rays, i)
+        if ray[2] < ray[3]:
+            mode, best = KeepFirst(prims, ray), (sketch.t[i], sketch.error[i], -1, False)
+            store_first(mode, traverse(mode, prims, tree, ray, best, workspace)[2], found, i)
 
 
 # Packets: neighbours in a tile traverse the tree together.
@@ -200,7 +204,7 @@ def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, wo
     mode = KeepNearest(any_hit)
     for i in range(first, first + PACKET_SIZE):
         ray = get(tile, OX + i), get(tile, DX + i), tile[T_MIN + i], tile[T_MAX + i]
-        best = traverse(mode, prims, tree, i, ray, (tile[T + i], tile[T_ERROR + i], -1, False), workspace)
+        best = traverse(mode, prims, tree, ray, (tile[T + i], tile[T_ERROR + i], -1, False), workspace)
         if best[2] >= 0:
             tile[T + i], tile[T_ERROR + i], tile[PRIM + i] = best[0], best[1], float(base + best[2])
         if best[3]:
