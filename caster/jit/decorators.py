@@ -361,11 +361,11 @@ def optional(declare: Callable[[Function], Function]) -> Callable[[Function], Fu
     return keep
 
 
-def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
-    """Register the decorated body of `function` for class `kind`; object: for classes without their own."""
+def implement(function: Callable[..., Any], *kinds: type) -> Callable[[Function], Function]:
+    """Register the decorated body of `function` for some classes; object: for classes without their own."""
 
     def keep(body: Function) -> Function:
-        _GENERICS[function].bodies[kind] = body
+        _GENERICS[function].bodies |= dict.fromkeys(kinds, body)
         _IMPLEMENTED.append(body)
         return body
 
