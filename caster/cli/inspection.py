@@ -12,7 +12,7 @@ from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
 from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, rejected_faces
-from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
+from caster.kernels.nearest import Rays, intersect_each
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.hits import RayHits
 from caster.rendering.images import RenderResult, trace_film
@@ -43,7 +43,7 @@ class PrimitiveResult:
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
     """Intersections of rays[0] with the nearest primitives: hits by t, then misses by distance. Without a ray: none."""
-    if rays.t_max[0] < 0.0:
+    if not rays.t_min[0] < rays.t_max[0]:
         return ()
     found = [tried for kind in packed.kinds for tried in _try(packed, kind, rays)]
     order = sorted(found, key=lambda each: (each.t, each.away, each.shape_id, each.prim_id))
@@ -67,12 +67,6 @@ def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
     rows = np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
     t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
     intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
-    undecided = np.flatnonzero(np.isinf(error))
-    if len(undecided):  # exactly
-        again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
-        found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
-        nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
-        t[undecided] = found.t
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):

@@ -33,7 +33,8 @@ from caster.jit.kernel_cache import (
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-OPTIONS = {"nogil": True, "error_model": "numpy"}  # no fast-math, IEEE division, no GIL
+# No fast-math, IEEE division, no GIL. Numba inlines what an inlined function calls first, unless told not to.
+OPTIONS = {"nogil": True, "error_model": "numpy", "forceinline": False}
 
 Key = tuple[tuple[Any, ...], int]  # key of the arguments, and the number of bodies registered
 
@@ -332,7 +333,7 @@ _IMPLEMENTED: list[Any] = []  # all bodies; a new one may change what a kernel r
 
 def generic(stub: Function) -> Function:
     """Declare a protocol function; `implement(function, Kind)` gives it a body for one kind."""
-    return _declared(stub, {})
+    return _declared(stub, {"forceinline": False})
 
 
 def generic_inlined(stub: Function) -> Function:
@@ -360,11 +361,11 @@ def optional(declare: Callable[[Function], Function]) -> Callable[[Function], Fu
     return keep
 
 
-def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
-    """Register the decorated body of `function` for class `kind`; object: for classes without their own."""
+def implement(function: Callable[..., Any], *kinds: type) -> Callable[[Function], Function]:
+    """Register the decorated body of `function` for some classes; object: for classes without their own."""
 
     def keep(body: Function) -> Function:
-        _GENERICS[function].bodies[kind] = body
+        _GENERICS[function].bodies |= dict.fromkeys(kinds, body)
         _IMPLEMENTED.append(body)
         return body
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import implement, inlined, jit
-from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, as_float, compare, no_root
+from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, as_float, compare
 from caster.kernels.math.vec import TINY, max_norm, row
 from caster.kernels.protocol import (
     Vec3,
@@ -19,6 +19,9 @@ from caster.kernels.protocol import (
     surely_misses,
     update_best,
 )
+
+Ray = tuple[Vec3, Vec3, float, float]
+"""o, d, t_min, t_max"""
 
 
 class Rays(NamedTuple):
@@ -94,11 +97,11 @@ class KeepNearest(NamedTuple):
     any_hit: bool  # any certain hit will do
 
 
-class Candidates(NamedTuple):
-    """Mode of a traversal: list all primitives that may be hit first."""
+class KeepFirst(NamedTuple):
+    """Mode of a traversal: keep the hit that is first exactly; t and error stay those of the hit by float64."""
 
-    ends: np.ndarray  # (n,) int64, the place of the next candidate of each ray
-    prims: np.ndarray  # int32, numbers within the kind; empty to count them only
+    prims: Any
+    ray: Ray
 
 
 Best = tuple[float, float, int, bool]
@@ -106,7 +109,7 @@ Best = tuple[float, float, int, bool]
 
 
 @implement(update_best, KeepNearest)
-def _update_nearest(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+def _update_nearest(mode: Any, best: Best, k: int, hit: tuple[float, float]) -> Best:
     t, error = any_hit_result(hit[0], hit[1], mode.any_hit)
     ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + error
     uncertain = best[3] | (abs(ahead) <= margin)
@@ -124,61 +127,74 @@ def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]
     return ANY_HIT_T if sure else t, 0.0 if sure else error
 
 
-@implement(update_best, Candidates)
-def _list_candidate(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
-    """List the primitive unless it is sure to lie behind the best."""
+@implement(update_best, KeepFirst)
+def _update_first(mode: Any, best: Best, k: int, hit: tuple[float, float]) -> Best:
     if hit[0] < math.inf and hit[0] - hit[1] <= best[0] + best[1]:
-        if len(mode.prims) > 0:
-            mode.prims[mode.ends[i]] = k
-        mode.ends[i] += 1
+        return best[0], best[1], first_of(mode.prims, mode.ray, k, hit[1] < math.inf, best[2]), False
     return best
 
 
 @jit
-def list_candidates(mode: Any, prims: Any, count: int, rays: Any, sketch: Any, start: int, stop: int) -> None:
-    """List primitives that rays start..stop may hit first, of all `count` of a kind. sketch: hits by float64."""
-    for i in range(start, stop):
-        o, d = row(rays.o, i), row(rays.d, i)
-        best = sketch.t[i], sketch.error[i], -1, False
-        for k in range(count):
-            pre = prepare(prims, load(prims, k), o)
-            if not surely_misses(prims, pre, d):
-                update_best(mode, best, i, k, intersect(prims, pre, d, rays.t_min[i], rays.t_max[i]))
+def first_of(prims: Any, ray: Ray, k: int, is_hit: bool, first: int) -> int:
+    """The number of the first hit: `first` if that is not negative, or primitive k; is_hit: float64 is sure of k."""
+    if first >= 0 and same_geometry(prims, k, first):  # the same thing once more
+        return min(k, first)
+    if first < 0 and is_hit:
+        return k
+    o, d, t_min, t_max = ray
+    new = exact_intersect(prims, k, o, d, t_min, t_max)
+    if not new.hit:
+        return first
+    return k if first < 0 or precedes(new, k, exact_intersect(prims, first, o, d, t_min, t_max), first) else first
 
 
 @jit
-def nearest_of_candidates(
-    prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, start: int, stop: int
-) -> None:
-    """Find which of candidates[starts[i]:starts[i + 1]] ray i hits first, exactly, for rays start..stop.
+def ray_at(rays: Any, i: int) -> Ray:
+    return row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
 
-    found: misses before. Candidates are ordered by (exact t, number). A t of which float64 is certain is kept.
+
+@jit
+def find_first(prims: Any, count: int, rays: Any, sketch: Any, found: Any, start: int, stop: int) -> None:
+    """Find what rays start..stop hit first, exactly, of all `count` primitives of a kind.
+
+    sketch: the hits by float64, behind which nothing is looked for. found: misses before.
     """
     for i in range(start, stop):
-        o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
-        if not t_min < t_max:  # nothing lies between, and exact arithmetic has no inf but as t_max
-            continue
-        first, chosen = no_root(), -1
-        for at in range(starts[i], starts[i + 1]):
-            k = candidates[at]
-            if chosen >= 0 and same_geometry(prims, k, chosen):  # the same thing once more
-                chosen = min(k, chosen)
-                continue
-            new = exact_intersect(prims, k, o, d, t_min, t_max)
-            if new.hit and (chosen < 0 or precedes(new, k, first, chosen)):
-                first, chosen = new, k
-        if chosen >= 0:
-            t, error = intersect(prims, prepare(prims, load(prims, chosen), o), d, t_min, t_max)
-            if not error < math.inf:
-                t = as_float(first)
-                error = AS_FLOAT_REL_ERROR * t + TINY
-            found.t[i], found.prim[i], found.error[i] = t, chosen, error
+        o, d, t_min, t_max = ray_at(rays, i)
+        if t_min < t_max:  # else nothing lies between, and exact arithmetic has no inf but as t_max
+            mode, best = KeepFirst(prims, (o, d, t_min, t_max)), (sketch.t[i], sketch.error[i], -1, False)
+            for k in range(count):
+                pre = prepare(prims, load(prims, k), o)
+                if not surely_misses(prims, pre, d):
+                    best = update_best(mode, best, k, intersect(prims, pre, d, t_min, t_max))
+            store_first(mode, best[2], found, i)
+
+
+@jit
+def store_first(mode: Any, k: int, found: Any, i: int) -> None:
+    """Store primitive k as the first hit of ray i, unless k is negative. A t of which float64 is certain is kept."""
+    if k >= 0:
+        t, error = intersect_surely(mode.prims, k, mode.ray)
+        if error == math.inf:
+            error = AS_FLOAT_REL_ERROR * t + TINY
+        found.t[i], found.prim[i], found.error[i] = t, k, error
+
+
+@jit
+def intersect_surely(prims: Any, k: int, ray: Ray) -> tuple[float, float]:
+    """The result of protocol.intersect with the exact t, inf for a miss, where the error is infinite."""
+    o, d, t_min, t_max = ray
+    t, error = intersect(prims, prepare(prims, load(prims, k), o), d, t_min, t_max)
+    if error == math.inf:
+        root = exact_intersect(prims, k, o, d, t_min, t_max)
+        t = as_float(root) if root.hit else math.inf
+    return t, error
 
 
 @jit
 def hit_precedes(prims: Any, k: int, number: int, others: Any, j: int, other_number: int, rays: Any, i: int) -> int:
     """1 if ray i meets primitive k of a kind before primitive j of another kind, which it meets as well; else 0."""
-    o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
+    o, d, t_min, t_max = ray_at(rays, i)
     mine, theirs = exact_intersect(prims, k, o, d, t_min, t_max), exact_intersect(others, j, o, d, t_min, t_max)
     return 1 if precedes(mine, number, theirs, other_number) else 0
 
@@ -208,8 +224,6 @@ def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: 
 
 @jit
 def intersect_each(prims: Any, ks: Any, rays: Any, t: Any, error: Any, start: int, stop: int) -> None:
-    """t[j], error[j] of ray 0 and primitive ks[j], for j in start..stop; see protocol.intersect."""
-    o, d = row(rays.o, 0), row(rays.d, 0)
+    """`intersect_surely` of ray 0 and primitive ks[j] as t[j], error[j], for j in start..stop."""
     for j in range(start, stop):
-        pre = prepare(prims, load(prims, ks[j]), o)
-        t[j], error[j] = intersect(prims, pre, d, rays.t_min[0], rays.t_max[0])
+        t[j], error[j] = intersect_surely(prims, ks[j], ray_at(rays, 0))

@@ -55,8 +55,8 @@ def exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: f
 
 
 @generic_inlined
-def update_best(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
-    """The best of ray i after the result `hit` of `intersect` for primitive k."""
+def update_best(mode: Any, best: Any, k: int, hit: Any) -> Any:
+    """The best of a ray after the result `hit` of `intersect` for primitive k."""
 
 
 @optional(generic_inlined)

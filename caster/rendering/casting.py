@@ -1,35 +1,17 @@
 """Nearest hits of any rays, on all cores. Rays that float64 leaves uncertain are cast again and decided exactly."""
 
-import itertools
 from collections.abc import Iterator
-from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.kernels.bvh.traversal import list_candidates_in_tree
-from caster.kernels.nearest import (
-    Candidates,
-    Nearest,
-    Rays,
-    hit_precedes,
-    list_candidates,
-    merge,
-    nearest_of_candidates,
-    no_hits,
-)
+from caster.kernels.bvh.traversal import find_first_in_tree
+from caster.kernels.nearest import Nearest, Rays, find_first, hit_precedes, merge, no_hits
 from caster.kernels.raster.tile import store_blocked, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import fan_tiles
-from caster.rendering.ray_tiles import (
-    MIN_RAYS_PER_THREAD,
-    RayTiles,
-    TileCaster,
-    UsesTree,
-    new_workspace,
-    tiles_in_order,
-)
+from caster.rendering.ray_tiles import RayTiles, TileCaster, UsesTree, new_workspace, tiles_in_order
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -81,68 +63,37 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_f
 # For fewer rays, brute force takes less time than building a tree.
 BVH_MIN_RAYS = 64
 
-# Like MIN_RAYS_PER_THREAD, for tests of a ray with a primitive, and for rays that integers decide.
-MIN_TESTS_PER_THREAD, MIN_EXACT_PER_THREAD = 1 << 15, 64
-
-# Candidates that are listed at a time: 16 MiB; more rays are processed in batches.
-MAX_LISTED_CANDIDATES = 1 << 22
+# Like MIN_RAYS_PER_THREAD, for rays that integers decide.
+MIN_EXACT_PER_THREAD = 64
 
 
 def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, trees: bool = True) -> Nearest:
     """The nearest hits of rays, decided exactly where float64 is uncertain; without trees, by brute force.
 
-    The hits of float64 bound where the first hit is. All primitives that may be hit before are candidates, of which
-    integers choose.
+    The hits of float64 bound where the first hit is. Among all primitives that may be hit before, integers choose.
     """
     count, nearest = len(rays.t_min), no_hits(len(rays.t_min))
 
     def through_tree(kind: Kind) -> bool:
         return trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
 
-    def list_all(kind: Kind, into: Candidates, rays: Rays, sketch: Nearest) -> None:
-        if through_tree(kind):
-            tree = bvh_of(kind)
-
-            def work(start: int, stop: int) -> None:
-                list_candidates_in_tree(into, kind.prims, tree, rays, sketch, (start, stop), new_workspace())
-
-            parallel_for(work, len(rays.t_min), threads, least=MIN_RAYS_PER_THREAD)
-        else:
-            least = MIN_TESTS_PER_THREAD // max(len(kind.ids), 1)
-            about = into, kind.prims, len(kind.ids), rays, sketch
-            parallel_for(partial(list_candidates, *about), len(rays.t_min), threads, least=least)
-
     sketch = _cast(packed, rays, threads, through_tree)[0]
     for kind in packed.kinds:
-        counts, found, contested = np.zeros(count, np.int64), no_hits(count), np.zeros(count, bool)
-        list_all(kind, Candidates(counts, np.empty(0, np.int32)), rays, sketch)
-        for rows in _batches(counts):
-            starts = np.concatenate([[0], np.cumsum(counts[rows])])
-            candidates = np.empty(starts[-1], np.int32)
-            some, into, bounds = (
-                Rays(*(a[rows] for a in rays)),
-                *(Nearest(*(a[rows] for a in each)) for each in (found, sketch)),
-            )
-            list_all(kind, Candidates(starts[:-1].copy(), candidates), some, bounds)
-            parallel_for(
-                partial(nearest_of_candidates, kind.prims, some, starts, candidates, into),
-                len(starts) - 1,
-                threads,
-                least=MIN_EXACT_PER_THREAD,
-            )
+        found, contested = no_hits(count), np.zeros(count, bool)
+
+        def work(start: int, stop: int, kind: Kind = kind, found: Nearest = found) -> None:
+            if through_tree(kind):
+                find_first_in_tree(kind.prims, bvh_of(kind), new_workspace(), rays, sketch, found, start, stop)
+            else:
+                find_first(kind.prims, len(kind.ids), rays, sketch, found, start, stop)
+
+        parallel_for(work, count, threads, least=MIN_EXACT_PER_THREAD)
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):
             _decide_between(packed, kind, rays, nearest, found, int(i))
     hit = nearest.prim >= 0  # the exact t is in (t_min, t_max]; rounded to float64 it may lie outside
     nearest.t[hit] = np.clip(nearest.t[hit], np.nextafter(rays.t_min[hit], np.inf), rays.t_max[hit])
     return nearest
-
-
-def _batches(counts: np.ndarray) -> Iterator[slice]:
-    """Runs of rays with about MAX_LISTED_CANDIDATES in all, or one ray with more."""
-    turn = np.cumsum(counts) // MAX_LISTED_CANDIDATES
-    ends = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(counts)]
-    return (slice(start, stop) for start, stop in itertools.pairwise(ends))
 
 
 def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, found: Nearest, i: int) -> None:

@@ -115,9 +115,9 @@ class RayHits:
         return prim if len(self.packed.kinds) <= 1 else np.where(self.hit, self.packed.places[prim], -1)
 
 
-def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> RayHits:
+def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray) -> RayHits:
     """Cast rays; start (n,): the t from which depth counts."""
-    return RayHits(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
+    return RayHits(scene, packed, rays, find_nearest(packed, rays), start)
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,21 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple,
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    Discriminator,
-    PlainSerializer,
-    Tag,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    field_validator,
-    model_validator,
-)
+from pydantic import Discriminator, PlainSerializer, Tag, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from caster.description.errors import SceneError, child_of
 from caster.description.fields import Description, FixedArray, Flag, Reflectance, Transform, matrix_of
 from caster.description.input_files import read_input
 from caster.description.transform import power
-from caster.geometry.mesh_files import load_once
+from caster.geometry.mesh_files import load_once, readable
 from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, NO_TEXTURE, REPEAT, Textures
 
 __all__ = ["Bitmap", "Checkerboard", "Texture"]
@@ -93,20 +85,34 @@ else:
     ]
 
 
+def read_picture(path: str) -> NDArray[np.uint8]:
+    """The pixels (h, w, 3) of a PNG file with 8 bits a channel; grey becomes three channels, alpha is ignored.
+
+    Raises FileMissing for a file that cannot be read, SceneError for any other format and beyond MAX_TEXELS.
+    """
+    from PIL import Image  # deferred: most scenes have no picture
+
+    data = read_input(path, "picture")
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            deep = data[PNG_BITS] == 16
+            if image.width * image.height > MAX_TEXELS or deep:
+                got = f"{image.width} x {image.height}{' of 16 bits' if deep else ''}"
+                raise SceneError(f"{path}: expected at most {MAX_TEXELS:,} pixels, of 8 bits a channel, got {got}")
+            return np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        raise SceneError(f"{path}: expected a PNG picture that is complete; convert or export it again") from None
+
+
 class Bitmap(Texture):
     """A picture: a PNG `file` with 8 bits a channel, in sRGB unless `raw`, or `data`, rows of linear [r, g, b]."""
 
     type: Literal["bitmap"] = "bitmap"
-    file: str | None = None
+    file: Annotated[str | None, readable(read_picture)] = None
     data: Texels | None = None
     filter: Literal["bilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     raw: Flag = False
-
-    @field_validator("file")
-    @classmethod
-    def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        return info.context.resolve(file, _load_picture) if file is not None and info.context else file
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
@@ -118,7 +124,7 @@ class Bitmap(Texture):
     def texels(self) -> NDArray[np.float64]:
         if self.file is None:
             return np.asarray(self.data)
-        picture = _load_picture(self.file)
+        picture = load_once(read_picture, self.file)
         return picture / 255.0 if self.raw else LINEAR_OF_SRGB[picture]
 
     def as_png(self) -> "Png | None":
@@ -148,29 +154,6 @@ def linear_of_srgb(value: float) -> float:
 
 
 LINEAR_OF_SRGB = np.array([linear_of_srgb(byte / 255.0) for byte in range(256)])
-
-
-def read_picture(path: str) -> NDArray[np.uint8]:
-    """The pixels (h, w, 3) of a PNG file with 8 bits a channel; grey becomes three channels, alpha is ignored.
-
-    Raises FileMissing for a file that cannot be read, SceneError for any other format and beyond MAX_TEXELS.
-    """
-    from PIL import Image  # deferred: most scenes have no picture
-
-    data = read_input(path, "picture")
-    try:
-        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-            deep = data[PNG_BITS] == 16
-            if image.width * image.height > MAX_TEXELS or deep:
-                got = f"{image.width} x {image.height}{' of 16 bits' if deep else ''}"
-                raise SceneError(f"{path}: expected at most {MAX_TEXELS:,} pixels, of 8 bits a channel, got {got}")
-            return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
-        raise SceneError(f"{path}: expected a PNG picture that is complete; convert or export it again") from None
-
-
-def _load_picture(path: str) -> NDArray[np.uint8]:
-    return load_once(read_picture, path)
 
 
 if TYPE_CHECKING:

@@ -29,14 +29,10 @@ from caster.kernels.exact.numbers import (
     times,
 )
 from caster.kernels.exact.primitives import exact_quadric_roots, height_sign, is_between_caps, root_in_range
-from caster.kernels.math.quadric_roots import (
-    MAX_SQUARED_DIRECTION,
-    MIN_SQUARED_DIRECTION,
-    QuadricSetup,
-    quadric_roots,
-    quadric_setup,
-)
+from caster.kernels.math.quadric_roots import QuadricSetup, quadric_roots, quadric_setup
 from caster.kernels.math.vec import (
+    LARGEST_SQUARE,
+    SMALLEST_SQUARE,
     TINY,
     U,
     add,
@@ -201,7 +197,7 @@ def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[f
     contains the other, and there is no cone.
     """
     a, d1, g, w = dot(d, d), l1_norm(d), pre.g, pre.w
-    steady = (a > MIN_SQUARED_DIRECTION) & (a < MAX_SQUARED_DIRECTION)
+    steady = (a > SMALLEST_SQUARE) & (a < LARGEST_SQUARE)
     s = -dot(pre.f, d) / (a if steady else 1.0)
     h, off = point_at(pre.f, s, d), pre.start.moved
     reach = l1_norm(h) + pre.r + off
@@ -218,7 +214,7 @@ def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[f
         (2.0 * abs(qb) + b_error) * b_error + abs(qa) * c_error + a_error * (abs(qc) + c_error) + 4.0 * U * size + TINY
     )
     narrow, none = g > G_ERROR * w + TINY, g < -G_ERROR * w - TINY
-    met = steady & narrow & (within > 2.0 * error) & (within > MIN_SQUARED_DIRECTION)
+    met = steady & narrow & (within > 2.0 * error) & (within > SMALLEST_SQUARE)
     root = math.sqrt(within if met else 1.0)
     late = qb >= 0.0
     q = -qb - root if late else root - qb

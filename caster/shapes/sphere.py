@@ -23,7 +23,7 @@ from caster.geometry.edge_distances import (
 )
 from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
-from caster.jit.decorators import implement, jit
+from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import (
     exact_quadric_roots,
@@ -246,7 +246,7 @@ class EllipsoidCloud(Shape):
         return OuterEllipsoids(center, to_world, np.stack([*map(inverse, to_world)]))
 
 
-@jit
+@inlined
 def spherical_uv(q: Any) -> tuple[float, float]:
     """uv of a point of the unit sphere: azimuth as a fraction of a turn, polar angle over pi."""
     return turn_fraction(q[1], q[0]), polar_fraction(min(max(q[2], -1.0), 1.0))
@@ -322,9 +322,7 @@ def _fast_uv(prims: Any, scratch: Any, x: Any, n: Any) -> Any:
     return spherical_uv(rows_times_vec(get_matrix(scratch, LANE_TURN + x), n))
 
 
-@implement(hull_size, OuterEllipsoids)
-@implement(hull_size, Ellipsoids)
-@implement(hull_size, Spheres)
+@implement(hull_size, Spheres, Ellipsoids, OuterEllipsoids)
 def _hull_size(prims: Any) -> int:
     return 8
 
@@ -339,15 +337,13 @@ def _tight_sphere(prims: Any, k: int) -> Any:
     return row(prims.center, k), prims.radius[k]
 
 
-@implement(load, OuterEllipsoids)
-@implement(load, Ellipsoids)
+@implement(load, Ellipsoids, OuterEllipsoids)
 def _load_ellipsoid(prims: Any, k: int) -> Any:
     m = matrix_rows(prims.to_object, k)
     return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * l1_norm(row_max_norms(m))
 
 
-@implement(prepare, OuterEllipsoids)
-@implement(prepare, Ellipsoids)
+@implement(prepare, Ellipsoids, OuterEllipsoids)
 def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, QuadricSetup of the unit sphere, error of d in object space per l1 norm)."""
     center, m, d_error = prim
@@ -368,8 +364,7 @@ def _intersect_outer(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -
     return filter_result(roots.met, roots.missed, *certain_in_range(roots.near, roots.near_error, t_min, t_max))
 
 
-@implement(surely_misses, OuterEllipsoids)
-@implement(surely_misses, Ellipsoids)
+@implement(surely_misses, Ellipsoids, OuterEllipsoids)
 def _surely_misses_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, setup, d_error = pre
     return closest_approach(setup, rows_times_vec(m, d), d_error * l1_norm(d)).missed
@@ -387,8 +382,7 @@ def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_m
     return root_in_range(exact_quadric_roots(f, e, h, unit)[0], t_min, t_max)
 
 
-@implement(surface, OuterEllipsoids)
-@implement(surface, Ellipsoids)
+@implement(surface, Ellipsoids, OuterEllipsoids)
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
     f = mat_vec(prims.to_object, k, sub(o, center))
@@ -398,12 +392,10 @@ def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: b
     return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v
 
 
-implement(surface_setup, Ellipsoids)(unwrap(put_affine_lanes))
-implement(surface_setup, OuterEllipsoids)(unwrap(put_affine_lanes))
+implement(surface_setup, Ellipsoids, OuterEllipsoids)(unwrap(put_affine_lanes))
 
 
-@implement(fast_surface, OuterEllipsoids)
-@implement(fast_surface, Ellipsoids)
+@implement(fast_surface, Ellipsoids, OuterEllipsoids)
 def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
     known, q = fast_unit_normal(rows_times_vec(m, sub(o, center)), rows_times_vec(m, d), t)
@@ -412,14 +404,12 @@ def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t:
     return known & long, known & long, p, n, n, q
 
 
-@implement(fast_uv, OuterEllipsoids)
-@implement(fast_uv, Ellipsoids)
+@implement(fast_uv, Ellipsoids, OuterEllipsoids)
 def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
     return spherical_uv(q)
 
 
-@implement(hull_point, OuterEllipsoids)
-@implement(hull_point, Ellipsoids)
+@implement(hull_point, Ellipsoids, OuterEllipsoids)
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
     return add(row(prims.center, k), mat_vec(prims.to_world, k, cube_corner(j)))
 

@@ -6,8 +6,7 @@ from hard_rays import hard_rays
 from random_scenes import name, random_scene
 
 from caster.cameras import Pinhole
-from caster.rendering import casting
-from caster.rendering.bvh_construction import uses_bvh
+from caster.rendering.bvh_construction import bvh_of, uses_bvh
 from caster.rendering.casting import exact_nearest, find_nearest
 from caster.rendering.hits import cast, packed, validated_rays
 from caster.rendering.images import film_window, render, trace_film
@@ -40,21 +39,18 @@ def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
     assert hits.t[0] == float.fromhex("0x1.5555555555555p-54")
 
 
-def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch):
-    """A thousand equal triangles: the lowest number wins, though few candidates are listed at a time."""
+def test_of_many_identical_primitives_the_first_is_hit():
+    """A thousand equal triangles, by brute force and through a tree: the lowest number wins."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     shapes = [Triangle(vertices=corners) for _ in range(1000)]
     scene = Scene(camera=Pinhole(eye=(0, 0, 1), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=shapes)
     o = np.column_stack([np.linspace(0.01, 0.4, 50), np.linspace(0.4, 0.01, 50), np.ones(50)])
     o[::2] += 5.0
-    asked = []
-    exactly = casting.nearest_of_candidates
-    monkeypatch.setattr(casting, "MAX_LISTED_CANDIDATES", 3000)
-    monkeypatch.setattr(casting, "nearest_of_candidates", lambda *args: asked.append(args[3]) or exactly(*args))
-    hits = cast(scene, o, np.tile([0.0, 0.0, -1.0], (50, 1)))
-    assert (hits.shape_id == np.where(np.arange(50) % 2, 0, -1)).all()
-    sizes = {id(candidates): len(candidates) for candidates in asked}
-    assert len(sizes) >= 8 and sum(sizes.values()) == 25 * 1000 and max(sizes.values()) <= 4000
+    rays = validated_rays(o, np.tile([0.0, 0.0, -1.0], (50, 1)), 0.0, np.inf)
+    for trees in (False, True):
+        hits = exact_nearest(packed(scene), rays, trees=trees)
+        assert (hits.prim == np.where(np.arange(50) % 2, 0, -1)).all()
+        bvh_of(packed(scene).kinds[0])
 
 
 @pytest.mark.parametrize("shape", [Plane(normal=(0, 0, 1), offset=0.0), Sphere(), Cube(), Cylinder()])

@@ -9,8 +9,7 @@ from caster.cameras import Fisheye
 from caster.geometry.packing import pack
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import UNDECIDED
-from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
-from caster.kernels.protocol import intersect, load, prepare, surely_misses
+from caster.kernels.protocol import exact_intersect, intersect, load, prepare, surely_misses
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
 from caster.shapes.cylinder import clip_to_height
@@ -167,10 +166,7 @@ RIMS = {
 
 
 def hits_exactly(prims, o, d):
-    rays = Rays(np.array([o]), np.array([d]), np.full(1, -1e9), np.full(1, 1e9))
-    found = no_hits(1)
-    nearest_of_candidates(prims, rays, np.array([0, 1]), np.zeros(1, np.int32), found, 0, 1)
-    return found.prim[0] >= 0
+    return exact_intersect(prims, 0, o, d, -1e9, 1e9).hit
 
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])

@@ -9,8 +9,9 @@ import pytest
 
 from caster.kernels.exact import numbers as big
 from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, Root, as_float, compare, is_within, surd_of_float
-from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
-from caster.kernels.protocol import same_geometry
+from caster.kernels.math.vec import UNDECIDED
+from caster.kernels.nearest import KeepFirst, no_hits, store_first
+from caster.kernels.protocol import intersect, load, prepare, same_geometry, update_best
 from caster.kernels.triangles import Triangles
 from caster.shapes.sphere import Spheres
 
@@ -181,26 +182,25 @@ def stacked_triangles():
     return Triangles(vertices, faces, *none), np.array(heights)
 
 
+@pytest.mark.parametrize("decided", [True, False])
 @pytest.mark.parametrize("t_min", [0.0, 0.25, 0.5, 0.75, 1.5])
-def test_of_candidates_the_first_exactly_is_the_hit_and_on_a_tie_the_one_of_the_least_number(t_min):
-    """In any order, also of equal primitives; |d| = 4. One ray has no candidates."""
+def test_of_candidates_the_first_exactly_is_the_hit_and_on_a_tie_the_one_of_the_least_number(t_min, decided):
+    """In any order, also of equal primitives, whether float64 is sure of their hits or not; |d| = 4."""
     prims, heights = stacked_triangles()
     rng = np.random.default_rng(240)
-    for _ in range(40):
-        lists = [rng.permutation(5)[: rng.integers(6)] for _ in range(4)]
-        rays = Rays(np.zeros((4, 3)), np.tile([0.0, 0.0, 4.0], (4, 1)), np.full(4, t_min), np.full(4, math.inf))
-        rays.t_max[2] = 0.5
-        starts = np.cumsum([0, *map(len, lists)])
-        found = no_hits(4)
-        found.prim[:] = -7
-        nearest_of_candidates(prims, rays, starts, np.concatenate(lists).astype(np.int32), found, 0, 3)
-        for i in range(3):
-            ahead = [k for k in lists[i] if t_min < heights[k] / 4.0 <= rays.t_max[i]]
-            expected = min(ahead, key=lambda k: (heights[k], k), default=-7)
-            assert found.prim[i] == expected
-            if ahead:
-                assert found.t[i] == heights[expected] / 4.0 and 0.0 < found.error[i] < 1e-13
-        assert found.prim[3] == -7
+    for t_max in (math.inf, 0.5) * 40:
+        ray, numbers = ((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), t_min, t_max), rng.permutation(5)[: rng.integers(6)].tolist()
+        best = math.inf, 0.0, -1, False
+        for k in numbers:
+            pre = prepare(prims, load(prims, k), ray[0])
+            hit = intersect(prims, pre, *ray[1:]) if decided else UNDECIDED
+            best = update_best(KeepFirst(prims, ray), best, k, hit)
+        ahead = [k for k in numbers if t_min < heights[k] / 4.0 <= t_max]
+        expected = min(ahead, key=lambda k: (heights[k], k), default=-1)
+        found = no_hits(1)
+        store_first(KeepFirst(prims, ray), best[2], found, 0)
+        assert best[2] == found.prim[0] == expected
+        assert found.t[0] == (heights[expected] / 4.0 if ahead else math.inf) and 0.0 <= found.error[0] < 1e-13
 
 
 def test_geometry_is_the_same_where_all_of_its_numbers_are():

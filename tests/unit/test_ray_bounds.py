@@ -8,8 +8,8 @@ import pytest
 
 from caster.jit.simd import CHILDREN
 from caster.kernels.bvh.build import Tree
-from caster.kernels.bvh.traversal import packet_box_setup, pop_beyond, push_children, ray_box_setup
-from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet
+from caster.kernels.bvh.traversal import pop_beyond, push_children, ray_box_setup
+from caster.kernels.math.lanes import intersect_boxes
 
 FLAT = 2.0**-20  # what stands for 0 in a direction here
 
@@ -29,7 +29,7 @@ def exact_slabs(tree, o, d, padding):
     for child in range(CHILDREN):
         spans = []
         for axis in range(3):
-            over = Fraction(d[axis]) if abs(d[axis]) > FLAT else Fraction(math.copysign(FLAT, d[axis]))
+            over = Fraction(d[axis]) if abs(d[axis]) > FLAT else Fraction(FLAT if d[axis] >= 0.0 else -FLAT)
             sides = [
                 Fraction(tree.center[axis]) + Fraction(tree.unit) * Fraction(float(side)) + way * padding
                 for side, way in ((tree.boxes[0, axis, child], -1), (tree.boxes[0, axis + 3, child], 1))
@@ -51,7 +51,7 @@ def test_boxes_are_entered_and_left_where_a_ray_crosses_them_with_their_padding(
     for _ in range(60):
         tree, o, d = a_tree(rng, reach), tuple(rng.normal(size=3).tolist()), some_direction(rng)
         near, padding = np.zeros(CHILDREN), Fraction(reach) * (max(Fraction(abs(x)) for x in o) + 5)
-        mask = intersect_boxes(tree.boxes, 0, ray_box_setup(tree, o, d), -math.inf, math.inf, near)
+        mask = intersect_boxes(tree.boxes, 0, ray_box_setup(tree, (o, o), (d, d)), -math.inf, math.inf, near)
         expected = exact_slabs(tree, o, d, padding)
         assert near == pytest.approx(expected[:, 0], rel=1e-9, abs=1e-9)
         for child, (enter, leave) in enumerate(expected.tolist()):
@@ -90,8 +90,8 @@ def test_boxes_are_entered_by_a_packet_where_the_first_ray_between_its_bounds_ma
         origins = np.sort(rng.normal(size=(1, 3)) + 0.3 * rng.normal(size=(2, 3)), axis=0)
         widths = rng.choice([0.0, 0.1, 1.0], 3)
         directions = np.sort(np.array(some_direction(rng)) + widths * rng.normal(size=(2, 3)), axis=0)
-        setup = packet_box_setup(tree, *(tuple(map(tuple, ends.tolist())) for ends in (origins, directions)))
-        mask = intersect_boxes_packet(tree.boxes, 0, setup, -1e12, 1e12, near)
+        setup = ray_box_setup(tree, *(tuple(map(tuple, ends.tolist())) for ends in (origins, directions)))
+        mask = intersect_boxes(tree.boxes, 0, setup, -1e12, 1e12, near)
         padding = reach * (float(np.abs(origins).max()) + tree.extent)
         enter, leave = packet_slabs(tree, origins, directions, padding)
         assert near == pytest.approx(np.maximum(enter, -1e12), rel=1e-9, abs=1e-9)

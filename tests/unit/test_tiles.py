@@ -121,7 +121,7 @@ def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they
             changed = np.flatnonzero(tile != before)
             assert set(changed.tolist()) <= {int(at) + 9 for at in fields}
             mode, best = KeepNearest(False), (held, held_error, 4, bool(unsure))
-            assert update_best(mode, best, 0, 6, (t, error)) == (*expected[:2], int(expected[2]), bool(unsure or near))
+            assert update_best(mode, best, 6, (t, error)) == (*expected[:2], int(expected[2]), bool(unsure or near))
 
 
 @pytest.mark.parametrize("new", [new_tile, new_lanes])

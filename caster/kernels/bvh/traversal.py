@@ -6,30 +6,29 @@ from typing import Any, NamedTuple
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
-from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet, lane_max, lane_max_of_sums, lane_min
-from caster.kernels.math.vec import l1_norm, max_norm, row
-from caster.kernels.nearest import KeepNearest
+from caster.kernels.math.lanes import intersect_boxes, lane_max, lane_max_of_sums, lane_min
+from caster.kernels.math.vec import l1_norm, max_norm
+from caster.kernels.nearest import KeepFirst, KeepNearest, ray_at, store_first
 from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
 from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_MIN, UNCERTAIN, T, cast_lanes, get, lane
 
 # A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point relative to the origin,
-# less or more the pad, taken as low (1/d) + c (1/d). What the products round, u (|low| + |c|) in space, is in REACH;
-# what 1/d and the sum do is in FAR_PADDING.
+# less or more the pad, taken as (low + c) (1/d). What the sums round, u (|low| + |c|) in space, is in BOX_PADDING; what
+# 1/d and the product do is in FAR_PADDING.
+
+Bounds3 = tuple[Vec3, Vec3]
+"""The least and the largest x, y, z."""
 
 
 class RayAxis(NamedTuple):
-    """A ray along an axis, for box tests."""
+    """One or several rays along an axis, for box tests. If some go forwards, some backwards, it bounds nothing."""
 
-    near: int  # row of Tree.boxes[node]: by the sign bit of d, so that -0.0 goes backwards
-    inverse: float  # 1/d, times the tree's unit
-    enter: float  # the tree's centre over d, less the pad
-    leave: float  # more the pad
-
-
-@inlined
-def safe_inverse(x: float, flat: float) -> float:
-    """1 / x, at most 1 / `flat` in magnitude, without a branch."""
-    return 1.0 / math.copysign(max(abs(x), flat), x)
+    near: int  # row of Tree.boxes[node]
+    least: float  # of 1/d
+    most: float
+    enter: float  # the tree's centre relative to that origin from which the near side is nearest, less the pad
+    leave: float  # the far side is farthest, more the pad
+    unit: float
 
 
 @inlined
@@ -39,17 +38,32 @@ def box_padding(tree: Any, o: Vec3) -> float:
 
 
 @inlined
-def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> tuple[RayAxis, RayAxis, RayAxis]:
-    """Precomputed reciprocals and error bounds of a ray for box tests."""
-    pad = box_padding(tree, o)
-    return ray_axis(tree, o, d, pad, 0), ray_axis(tree, o, d, pad, 1), ray_axis(tree, o, d, pad, 2)
+def ray_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> tuple[RayAxis, RayAxis, RayAxis]:
+    """Slab-test constants of rays whose origins and directions lie within these bounds."""
+    pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
+    return (
+        ray_axis(tree, origins, directions, pad, 0),
+        ray_axis(tree, origins, directions, pad, 1),
+        ray_axis(tree, origins, directions, pad, 2),
+    )
 
 
 @inlined
-def ray_axis(tree: Any, o: Vec3, d: Vec3, pad: float, axis: int) -> RayAxis:
-    x = safe_inverse(d[axis], tree.flat)
-    middle, ahead = tree.center[axis] - o[axis], math.copysign(pad, x)
-    return RayAxis(axis if x > 0.0 else axis + 3, tree.unit * x, (middle - ahead) * x, (middle + ahead) * x)
+def ray_axis(tree: Any, origins: Bounds3, directions: Bounds3, pad: float, axis: int) -> RayAxis:
+    low_d, high_d = directions[0][axis], directions[1][axis]
+    mixed, forwards = (low_d < 0.0) & (high_d > 0.0), low_d >= 0.0
+    low_d = max(low_d, tree.flat) if forwards else min(low_d, -tree.flat)
+    high_d = max(high_d, tree.flat) if forwards else min(high_d, -tree.flat)
+    low = tree.center[axis] - origins[1][axis] - pad
+    high = tree.center[axis] - origins[0][axis] + pad
+    return RayAxis(
+        axis if forwards else axis + 3,
+        1.0 if mixed else 1.0 / high_d,
+        1.0 if mixed else 1.0 / low_d,
+        -math.inf if mixed else (low if forwards else high),
+        math.inf if mixed else (high if forwards else low),
+        tree.unit,
+    )
 
 
 @inlined
@@ -80,14 +94,14 @@ def pop_beyond(top: int, limit: float, workspace: Any) -> int:
 
 
 @inlined
-def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, workspace: Any) -> Any:
-    """The best of ray i (o, d, t_min, t_max) after traversing the tree of a kind, near boxes first.
+def traverse(mode: Any, prims: Any, tree: Any, ray: Any, best: Any, workspace: Any) -> Any:
+    """The best of a ray (o, d, t_min, t_max) after traversing the tree of a kind, near boxes first.
 
     A box at exactly the nearest t is opened, so no tie is lost. workspace: see rendering.ray_tiles.new_workspace.
     """
     stack, entries, near = workspace
     o, d, t_min, t_max = ray
-    view = ray_box_setup(tree, o, d)
+    view = ray_box_setup(tree, (o, o), (d, d))
     limit = min(t_max, best[0] + best[1])
     inside, top, entries[0] = 0, 1, -math.inf  # under all that waits lies what is always entered
     while top > 0:
@@ -102,7 +116,7 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
                 k = tree.order[at]
                 pre = prepare(prims, load(prims, k), o)
                 if not surely_misses(prims, pre, d):
-                    best = update_best(mode, best, i, k, intersect(prims, pre, d, t_min, t_max))
+                    best = update_best(mode, best, k, intersect(prims, pre, d, t_min, t_max))
             limit = min(t_max, best[0] + best[1])
         top = pop_beyond(top, limit, workspace) - 1
         inside = stack[top]
@@ -110,30 +124,21 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
 
 
 @jit
-def list_candidates_in_tree(mode: Any, prims: Any, tree: Any, rays: Any, sketch: Any, span: Any, room: Any) -> None:
-    """`list_candidates` of rays span[0]..span[1] through the tree of a kind; room: the workspace of `traverse`."""
-    for i in range(span[0], span[1]):
-        ray = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
-        traverse(mode, prims, tree, i, ray, (sketch.t[i], sketch.error[i], -1, False), room)
+def find_first_in_tree(
+    prims: Any, tree: Any, workspace: Any, rays: Any, sketch: Any, found: Any, start: int, stop: int
+) -> None:
+    """`find_first` through the tree of a kind."""
+    for i in range(start, stop):
+        ray = ray_at(rays, i)
+        if ray[2] < ray[3]:
+            mode, best = KeepFirst(prims, ray), (sketch.t[i], sketch.error[i], -1, False)
+            store_first(mode, traverse(mode, prims, tree, ray, best, workspace)[2], found, i)
 
 
 # Packets: neighbours in a tile traverse the tree together.
 
 
 PACKET_SIZE = lane(LANES)
-
-Bounds3 = tuple[Vec3, Vec3]
-
-
-class PacketAxis(NamedTuple):
-    """A packet of rays along an axis. If some go forwards, some backwards, it bounds nothing."""
-
-    near: int  # row of Tree.boxes[node]
-    least: float  # of 1/d
-    most: float
-    enter: float  # the tree's centre relative to that origin from which the near side is nearest, less the pad
-    leave: float  # the far side is farthest, more the pad
-    unit: float
 
 
 @inlined
@@ -165,42 +170,13 @@ def l1_extent(ends: Bounds3) -> float:
     return (high[0] - low[0]) + (high[1] - low[1]) + (high[2] - low[2])
 
 
-@inlined
-def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> tuple[PacketAxis, PacketAxis, PacketAxis]:
-    """Slab-test constants of rays whose origins and directions lie within these bounds."""
-    pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
-    return (
-        packet_axis(tree, origins, directions, pad, 0),
-        packet_axis(tree, origins, directions, pad, 1),
-        packet_axis(tree, origins, directions, pad, 2),
-    )
-
-
-@inlined
-def packet_axis(tree: Any, origins: Bounds3, directions: Bounds3, pad: float, axis: int) -> PacketAxis:
-    low_d, high_d = directions[0][axis], directions[1][axis]
-    mixed, forwards = (low_d < 0.0) & (high_d > 0.0), low_d >= 0.0
-    low_d = max(low_d, tree.flat) if forwards else min(low_d, -tree.flat)
-    high_d = max(high_d, tree.flat) if forwards else min(high_d, -tree.flat)
-    low = tree.center[axis] - origins[1][axis] - pad
-    high = tree.center[axis] - origins[0][axis] + pad
-    return PacketAxis(
-        axis if forwards else axis + 3,
-        1.0 if mixed else 1.0 / high_d,
-        1.0 if mixed else 1.0 / low_d,
-        -math.inf if mixed else (low if forwards else high),
-        math.inf if mixed else (high if forwards else low),
-        tree.unit,
-    )
-
-
 @jit
 def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool) -> None:
     """Nearest hits of a packet's rays, one by one."""
     mode = KeepNearest(any_hit)
     for i in range(first, first + PACKET_SIZE):
         ray = get(tile, OX + i), get(tile, DX + i), tile[T_MIN + i], tile[T_MAX + i]
-        best = traverse(mode, prims, tree, i, ray, (tile[T + i], tile[T_ERROR + i], -1, False), workspace)
+        best = traverse(mode, prims, tree, ray, (tile[T + i], tile[T_ERROR + i], -1, False), workspace)
         if best[2] >= 0:
             tile[T + i], tile[T_ERROR + i], tile[PRIM + i] = best[0], best[1], float(base + best[2])
         if best[3]:
@@ -221,7 +197,7 @@ def cast_packets(
         first = lane(packet * LANES)
         origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
         if is_coherent(tree, tile, first, origins, directions):
-            view = packet_box_setup(tree, origins, directions)
+            view = ray_box_setup(tree, origins, directions)
             cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
         else:
             cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
@@ -238,7 +214,7 @@ def cast_packet(
     inside, top, entries[0] = 0, 1, -math.inf
     while top > 0:
         if inside >= 0:
-            mask = intersect_boxes_packet(tree.boxes, inside, view, t_min, limit, near)
+            mask = intersect_boxes(tree.boxes, inside, view, t_min, limit, near)
             if mask != 0:
                 inside, top = push_children(tree.links, inside, mask, top, workspace)
                 continue

@@ -7,7 +7,7 @@ library and NumPy choose code by the processor (with or without FMA or AVX-512),
 import math
 from typing import Any
 
-from caster.jit.decorators import inlined, jit
+from caster.jit.decorators import inlined
 
 # The Taylor series of sin(h) / h and cos(h) in h^2. At h = pi / 2 the first terms left out are
 # (pi / 2)^24 / 25! = 3e-21 and (pi / 2)^24 / 24! = 8e-20: nothing beside a rounding, 1e-16.
@@ -78,7 +78,7 @@ TURNS_PER_RADIAN = 0.5 / math.pi
 LAST_BELOW_ONE = 1.0 - 2.0**-53
 
 
-@jit
+@inlined
 def turn_fraction(y: float, x: float) -> float:
     """atan2(y, x) as a fraction of a turn in [0, 1)."""
     eighths, rest = eighths_and_rest(y, x)
@@ -86,7 +86,7 @@ def turn_fraction(y: float, x: float) -> float:
     return min((whole + sense * 0.125 * eighths) + sense * TURNS_PER_RADIAN * rest, LAST_BELOW_ONE)
 
 
-@jit
+@inlined
 def polar_fraction(z: float) -> float:
     """acos(z) as a fraction of half a turn in [0, 1], for z in [-1, 1]."""
     eighths, rest = eighths_and_rest(math.sqrt((1.0 - z) * (1.0 + z)), z)

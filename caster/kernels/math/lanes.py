@@ -86,9 +86,9 @@ def sides(boxes: Any, node: int, axis: int, near: int) -> tuple[Vector, Vector]:
 
 @inlined
 def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
-    """A bit for each of the node's boxes that a ray enters between t_min and t_max; near (8,) gets these t.
+    """A bit for each of the node's boxes that any of some rays may enter between t_min and t_max, and these t in near.
 
-    boxes: (nodes, SIDES, CHILDREN). view: a traversal.RayAxis for each axis.
+    boxes: (nodes, SIDES, CHILDREN). view: a traversal.RayAxis for each axis. near: (8,).
     """
     x, y, z = ray_slab(boxes, node, view, 0), ray_slab(boxes, node, view, 1), ray_slab(boxes, node, view, 2)
     return entered(x, y, z, t_min, t_max, near)
@@ -96,20 +96,6 @@ def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float
 
 @inlined
 def ray_slab(boxes: Any, node: int, view: Any, axis: int) -> Slab:
-    """At b inverse + enter of a near side b, + leave of a far one."""
-    near, far = sides(boxes, node, axis, view[axis].near)
-    return near * view[axis].inverse + view[axis].enter, far * view[axis].inverse + view[axis].leave
-
-
-@inlined
-def intersect_boxes_packet(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
-    """The same for boxes that any of several rays may enter; view: a traversal.PacketAxis for each axis."""
-    x, y, z = packet_slab(boxes, node, view, 0), packet_slab(boxes, node, view, 1), packet_slab(boxes, node, view, 2)
-    return entered(x, y, z, t_min, t_max, near)
-
-
-@inlined
-def packet_slab(boxes: Any, node: int, view: Any, axis: int) -> Slab:
     """At the earliest and at the latest: a near side b is met at no less than (b unit + enter)/d, a far one at no more
     than (b unit + leave)/d.
     """

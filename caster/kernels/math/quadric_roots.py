@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 from caster.jit.decorators import inlined, jit
 from caster.kernels.exact.numbers import times_power
 from caster.kernels.math.vec import (
+    LARGEST_SQUARE,
+    SMALLEST_SQUARE,
     TINY,
     UNIT_SQUARE_ATOL,
     U,
@@ -31,9 +33,6 @@ MAX_DIRECTION_ERROR_SHARE = 2.0**-10
 # neither overflow nor underflow.
 MAX_SQUARABLE_EXPONENT = 500
 MIN_RANGE, MAX_RANGE = 2.0**-100, 2.0**100
-
-# Squares of shorter directions lose bits to underflow, those of longer ones overflow.
-MIN_SQUARED_DIRECTION, MAX_SQUARED_DIRECTION = 2.0**-900, 2.0**1000
 
 
 class QuadricSetup(NamedTuple):
@@ -93,9 +92,7 @@ def closest_approach(setup: Any, d: Vec3, d_error: float) -> ClosestApproach:
     """
     f, moved, lean = setup.f, setup.moved, 0.0
     a, b = dot(d, d), -dot(f, d)
-    steady = (
-        (a > MIN_SQUARED_DIRECTION) & (a < MAX_SQUARED_DIRECTION) & (d_error * d_error < MAX_DIRECTION_ERROR_SHARE * a)
-    )
+    steady = (a > SMALLEST_SQUARE) & (a < LARGEST_SQUARE) & (d_error * d_error < MAX_DIRECTION_ERROR_SHARE * a)
     over_a = 1.0 / (a if steady else 1.0)
     s = b * over_a
     if d_error > 0.0:
@@ -117,7 +114,7 @@ def quadric_roots(setup: Any, d: Vec3, d_error: float) -> QuadricRoots:
     The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
     """
     met, missed, a, over_a, b, within, within_error = closest_approach(setup, d, d_error)
-    met &= a * within > MIN_SQUARED_DIRECTION
+    met &= a * within > SMALLEST_SQUARE
     d1, root = l1_norm(d), math.sqrt(a * within if met else 1.0)
     a_share, b_error = 5.0 * U, setup.b_error * d1 + TINY
     if d_error > 0.0:
