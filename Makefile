@@ -15,7 +15,7 @@ SITE_TOOLS := .venv/site-tools-$(HERE)
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test slow lint docs site stress bench guard wheel fuzz faults isa hostile mutants nightly clean
+.PHONY: help install validate test slow lint docs site stress bench scoreboard guard wheel fuzz faults isa hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -66,6 +66,9 @@ bench: $(INSTALLED) ## run time against error: writes docs/internals/performance
 	@mkdir -p docs/internals/performance
 	@$(BIN)/mitsuba-ref bench --json docs/internals/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/internals/performance/run.json docs/internals
+
+scoreboard: $(INSTALLED) ## thirty published ray casters on hard rays: writes docs/findings/scoreboard.md; installs them into build; half an hour
+	@PYTHONPATH=benchmarks $(BIN)/python -P -m scoreboard $(ARGS)
 
 wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: dist/, in some minutes
 	@$(BIN)/python .ci/wheel_with_kernels.py $(ARGS)

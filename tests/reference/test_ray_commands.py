@@ -191,7 +191,7 @@ def test_limits_that_a_program_does_not_have_are_one_finding_of_the_run_and_can_
 
 # ---- the pages' glue around other libraries, and findings in them
 
-GLUE = sorted((EXAMPLES.parents[1] / "docs/candidates/glue").glob("*.mjs"))
+GLUE = sorted((EXAMPLES.parents[1] / "benchmarks/scoreboard/casters").glob("*.mjs"))
 FINDINGS = sorted((EXAMPLES.parents[1] / "docs/findings").glob("*.toml"))
 
 
@@ -203,8 +203,8 @@ def test_glue_in_javascript_has_the_syntax():
 
 
 def test_the_page_shows_the_glue_around_three_js_as_it_is():
-    docs = EXAMPLES.parents[1] / "docs"
-    assert (docs / "candidates/glue/three.mjs").read_text() in (docs / "candidates.md").read_text()
+    root = EXAMPLES.parents[1]
+    assert (root / "benchmarks/scoreboard/casters/three.mjs").read_text() in (root / "docs/candidates.md").read_text()
 
 
 def test_ours_is_right_on_the_scenes_of_the_findings():

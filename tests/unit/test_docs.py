@@ -59,7 +59,8 @@ def test_the_map_names_every_page_and_at_most_twelve_for_users():
 
 
 def test_the_code_of_a_recipe_is_that_of_the_example_of_the_same_name():
-    examples = {path.name: path for path in (ROOT / "docs/candidates").rglob("*.*")}
+    folders = (ROOT / "docs/candidates", ROOT / "benchmarks/scoreboard/casters")
+    examples = {path.name: path for folder in folders for path in folder.glob("*.*")}
     shown = {}
     for page in ROOT.glob("docs/recipes/*.md"):
         for name, code in re.findall(
