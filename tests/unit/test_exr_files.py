@@ -3,11 +3,10 @@
 The file is read by the OpenEXR library, and each channel has the name that docs/scene-format.md gives it.
 """
 
-from pathlib import Path
-
 import numpy as np
 import OpenEXR
 import pytest
+from places import ROOT
 
 import caster
 from caster.__main__ import main
@@ -15,7 +14,6 @@ from caster.aovs import AOVS, Aovs
 from caster.image.channels import aovs_to_channels, channels_to_aovs
 from caster.image.exr import NO_ID
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE, SIZE, CROP = str(ROOT / "scenes/flat-shapes.toml"), (24, 18), (5, 3, 20, 17)
 NAMES = tuple(aov.NAME for aov in AOVS)
 CHANNELS = {

@@ -11,8 +11,8 @@ import pytest
 from mutants.campaign import COMPILED_TESTS, END_TO_END, GROUPS, SMALL_AGREEMENT, SMALL_RAYS, TESTS, stale
 from mutants.operators import keys_of, mutants_of
 from mutants.page import page, score
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 MODULE = b'''"""Docstring 1 + 1."""
 __all__ = ["largest"[0:7]]
 UNUSED: "int | None" = None
