@@ -11,21 +11,84 @@ Exit codes: 0 nothing is slower, 1 something is, 2 wrong usage, 70 a caster gave
 """
 
 import argparse
+import json
+import os
 import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from alternating_runs import DEPTH, HERE, SCENES, NoAnswer, seconds, worker
+HERE = Path(__file__).resolve().parents[1]
+SCENES = (
+    "one-sphere",
+    "two-thousand-spheres",
+    "ellipsoids",
+    "cylinders",
+    "flat-shapes",
+    "every-shape",
+    "cornell-box",
+    "teapot",
+    "hills-131072-triangles",
+)
+SIZE = 512  # pixels a side
 
 TURNS = 9
 LIMIT = 1.25  # medians of 9 ratios on a busy machine stay within some 10 % of each other
 CULLINGS = ("raster", "bvh")
 OK, SLOWER, USAGE, INTERNAL = 0, 1, 2, 70
+
+WORKER = """
+import json, os, sys, time
+import caster
+assert caster.__file__.startswith(sys.argv[1]), caster.__file__
+for line in sys.stdin:
+    path, size, culling = json.loads(line)
+    if culling == "raster" and not os.path.isdir(os.path.join(os.path.dirname(caster.__file__), "jit")):
+        culling = "screen"  # its name in older revisions
+    scene = caster.load_scene(path).with_film(width=size, height=size)
+    def render():
+        caster.render(scene, ("depth",), culling=culling, threads=1)
+    render()
+    start = time.thread_time()
+    render()
+    print(time.thread_time() - start, flush=True)
+"""
+
+
+class NoAnswer(Exception):  # noqa: N818 - what happened, whoever is to blame
+    """A caster that gave no time."""
+
+
+@contextmanager
+def worker(sources: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that times scenes by the caster in `sources`."""
+    environment = os.environ | {"PYTHONPATH": str(sources), "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-c", WORKER, str(sources)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
+        assert process.stdin
+        try:
+            yield process
+        finally:
+            with suppress(BrokenPipeError):  # it died with a question unread
+                process.stdin.close()
+
+
+def seconds(process: subprocess.Popen[str], scene: str, culling: str) -> float:
+    """What one process takes for the depth of one scene, one thread."""
+    assert process.stdin and process.stdout
+    with suppress(BrokenPipeError):  # no answer will come, which is reported below
+        process.stdin.write(json.dumps([scene, SIZE, culling]) + "\n")
+        process.stdin.flush()
+    answer = process.stdout.readline()
+    if not answer:
+        raise NoAnswer(f"{scene}: the caster ended without an answer; its words are above")
+    return float(answer)
+
 
 Pairs = Sequence[tuple[float, float]]  # seconds before and here, turn by turn
 
@@ -115,10 +178,7 @@ def compared(args: argparse.Namespace, scenes: Sequence[str]) -> list[Compared]:
             for culling in CULLINGS:
 
                 def measure(scene: str = scene, culling: str = culling) -> Pairs:
-                    return [
-                        (seconds(old, scene, DEPTH, culling), seconds(new, scene, DEPTH, culling))
-                        for _ in range(args.turns)
-                    ]
+                    return [(seconds(old, scene, culling), seconds(new, scene, culling)) for _ in range(args.turns)]
 
                 every.append(compare(scene, culling, args.limit, measure))
                 print(line(every[-1]), flush=True)

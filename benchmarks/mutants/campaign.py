@@ -1,26 +1,27 @@
 """A campaign: the sampled mutants of the chosen modules, each tried in a copy of the tree, shortest tests first."""
 
-import compileall
-import fcntl
 import hashlib
 import json
 import os
+import queue
 import random
+import re
 import shutil
+import signal
 import subprocess
-import sys
-import tempfile
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from importlib.util import cache_from_source
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
+from edited_tree import Forks, write_bytecode
+from mutants.measuring import PACKAGES, SLOWEST_TEST_S
 from mutants.operators import Mutant, keys_of, mutants_of
-from mutants.trial import PACKAGES, Chosen, Measured, in_fork, load_libraries
 
 ROOT = Path(__file__).resolve().parents[2]
 GROUPS = {
@@ -89,23 +90,19 @@ def files_of(listed: dict[str, str]) -> tuple[str, ...]:
 
 
 TESTS, COMPILED_TESTS = files_of(PLAIN), files_of(WITH_COMPILER)
-SLOWEST_TEST_S = 4.0  # CPU seconds without the compiler, lines recorded; a slower test is not used
 FILE_LIMIT_S = 60.0  # CPU seconds for the measurement of one file of tests; what comes later in it is not used
-FIRST_S, FIRST_FILES = 1.5, 5  # the tests that are tried first: CPU seconds, files
+FIRST_S = 1.5  # CPU seconds of the tests that are tried first
+EACH_S = 0.05  # CPU seconds of a test beside its own
 START_S = 20.0  # CPU seconds that a fork may take beside ten times its tests' own
+FAILURE = re.compile(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", re.MULTILINE)  # of pytest's summary
 
 
-@dataclass
-class Test:
+class Test(NamedTuple):
     """A test that passes, as it was measured."""
 
     test: str
     seconds: float
-    lines: dict[str, set[int]]
-
-    @property
-    def file(self) -> str:
-        return self.test.partition("::")[0]
+    functions: set[str]  # that it calls: "module function"
 
 
 @dataclass
@@ -122,8 +119,6 @@ class Outcome:
     new: str
     status: str = "survived"  # killed, timeout, survived or not executed
     by: str = ""  # the test that failed
-    what: str = ""  # and how
-    seconds: float = 0.0  # CPU
     tests: int = 0  # that were selected
 
 
@@ -146,25 +141,32 @@ class Settings:
 
 
 class Tree:
-    """A copy of the tree whose modules are edited one at a time."""
+    """A copy of the tree, without .git and caches, whose modules are edited one at a time; and tests run in it."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, source: Path, folder: Path, memory: Path) -> None:
+        ignore = shutil.ignore_patterns(".*", "build", "__pycache__", "*.egg-info")
+        self.folder = shutil.copytree(source, folder / "tree", ignore=ignore)
+        write_bytecode(self.folder)
+        self.forks = Forks(folder)
+        self.environment = {"MUTANTS_MEMORY": str(memory), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
     def plant(self, module: str, source: bytes) -> None:
         path = self.folder / module
         Path(cache_from_source(str(path))).unlink(missing_ok=True)
         path.write_bytes(source)
 
-
-def copied_tree(source: Path, folder: Path) -> Tree:
-    """Without .git and caches; modules compiled to bytecode."""
-    ignore = shutil.ignore_patterns(".*", "build", "__pycache__", "*.egg-info")
-    shutil.copytree(source, folder, ignore=ignore)
-    for package in PACKAGES:
-        if (folder / package).is_dir():
-            compileall.compile_dir(folder / package, quiet=1)
-    return Tree(folder)
+    def run(self, *words: str, compiled: bool, limit: float, out: Path | str = "") -> tuple[int, str]:
+        """(pytest's exit code, negative if it was killed; what it printed). limit: CPU seconds; out: measurements."""
+        path = f"{self.folder}{os.pathsep}{ROOT / 'benchmarks'}"
+        environment = self.environment | {"CASTER_JIT": str(int(compiled)), "MUTANTS_OUT": str(out)}
+        options = "-q", "-rfE", "--no-header", "-p", "mutants.measuring", "-p", "no:xdist"
+        try:
+            ended = self.forks.run(
+                path, *options, *words, module="pytest", environment=environment, folder=self.folder, limit=limit
+            )
+        except AssertionError:  # it waited for ever
+            return -signal.SIGKILL, ""
+        return ended.returncode, ended.stdout
 
 
 def is_compiled(settings: Settings, group: str) -> bool:
@@ -172,80 +174,53 @@ def is_compiled(settings: Settings, group: str) -> bool:
     return not any(pattern.startswith("caster/") for pattern in settings.sources[group])
 
 
-def measured(settings: Settings, tree: Tree, compiled: bool) -> list[Test]:
-    """Every test that passes in the copy, with its time and lines; measured once for each state of the sources."""
-    os.environ["CASTER_JIT"] = str(int(compiled))
-    patterns = settings.compiled_tests if compiled else settings.tests
-    tests = set(tree.folder.glob("tests/**/test_*.py"))
-    shared = {path for name in (*PACKAGES, "tests") for path in tree.folder.glob(f"{name}/**/*.py")} - tests
-    folder = settings.out / ("measured-compiled" if compiled else "measured") / digest(shared)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = sorted({path for pattern in patterns for path in tree.folder.glob(pattern)})
-    parallel(settings.jobs, files, lambda path, job: _measure(tree, path, folder))
-    found = []
-    for path in files:
-        for line in measurement(folder, path).read_text(encoding="utf-8").splitlines():
-            row = json.loads(line)
-            test = Test(row["test"], row["seconds"], {name: set(rows) for name, rows in row["lines"].items()})
-            if test.seconds <= SLOWEST_TEST_S and test.lines:
-                found.append(test)
-    if not found:
-        raise RuntimeError(f"{settings.root}: no test passes without a mutant, so none can find one")
-    return found
+class Trees:
+    """As many copies of the tree as there are jobs, and work that each does in one of them."""
+
+    def __init__(self, settings: Settings, folder: Path) -> None:
+        self.jobs, self.free = settings.jobs, queue.SimpleQueue[Tree]()
+        for job in range(settings.jobs):
+            self.free.put(Tree(settings.root, folder / str(job), settings.out / "mitsuba"))
+
+    def each(self, work: Callable[[Tree, Any], None], items: Iterable[Any]) -> None:
+        """work(tree, item) for every item."""
+
+        def do(item: Any) -> None:
+            tree = self.free.get()
+            try:
+                work(tree, item)
+            finally:
+                self.free.put(tree)
+
+        with ThreadPoolExecutor(self.jobs) as pool:
+            list(pool.map(do, items))
 
 
-def digest(paths: Iterable[Path]) -> str:
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(paths))).hexdigest()[:12]
+def measured(settings: Settings, trees: Trees, compiled: bool) -> list[Test]:
+    """Every test that passes in a copy, with its time and functions; measured once for each state of the sources."""
+    root, patterns = settings.root, settings.compiled_tests if compiled else settings.tests
+    state = b"".join(path.read_bytes() for top in (*PACKAGES, "tests") for path in sorted(root.glob(f"{top}/**/*.py")))
+    folder = settings.out / f"measured-{int(compiled)}-{hashlib.sha256(state).hexdigest()[:12]}"
+    folder.mkdir(exist_ok=True)
+    files = sorted({str(path.relative_to(root)) for pattern in patterns for path in root.glob(pattern)})
 
+    def measure(tree: Tree, file: str) -> None:
+        out = folder / f"{Path(file).stem}.jsonl"
+        if not out.exists():
+            part = out.with_suffix(".part")
+            part.write_text("")
+            code, said = tree.run(file, compiled=compiled, limit=FILE_LIMIT_S, out=part)
+            if code == pytest.ExitCode.INTERRUPTED:
+                raise RuntimeError(
+                    f"{file}: its tests cannot be collected, so none of them would find a mutant\n{said}"
+                )
+            part.rename(out)
 
-def measurement(folder: Path, path: Path) -> Path:
-    """The file of what was measured of a file of tests."""
-    return folder / f"{path.stem}-{digest([path])}.jsonl"
-
-
-def _measure(tree: Tree, path: Path, folder: Path) -> None:
-    out = measurement(folder, path)
-    if not out.exists():
-        part = out.with_suffix(".part")
-        part.write_text("")
-        name = str(path.relative_to(tree.folder))
-        plugin = Measured(tree.folder, part, SLOWEST_TEST_S)
-        ended = in_fork(tree.folder, [name], plugin, FILE_LIMIT_S, folder / f"{path.stem}.failure")
-        if ended.code == pytest.ExitCode.INTERRUPTED:
-            raise RuntimeError(f"{name}: its tests cannot be collected, so none of them would find a mutant")
-        part.rename(out)
-
-
-def parallel(jobs: int, items: Sequence[Any], work: Callable[[Any, int], None]) -> None:
-    """work(item, job) in `jobs` forks, each taking the next item. Raises RuntimeError where one fails."""
-    children = []
-    with tempfile.TemporaryFile() as queue:
-        for job in range(jobs):
-            child = os.fork()
-            if child == 0:
-                code = 1
-                try:
-                    while (i := _next(queue.fileno())) < len(items):
-                        work(items[i], job)
-                    code = 0
-                except BaseException:
-                    sys.excepthook(*sys.exc_info())
-                finally:
-                    sys.stderr.flush()
-                    os._exit(code)
-            children.append(child)
-        codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
-    if any(codes):
-        raise RuntimeError(f"a process of the campaign ended with exit codes {codes}")
-
-
-def _next(queue: int) -> int:
-    """A number that no other process gets: the length of a file that grows by a byte each time."""
-    fcntl.lockf(queue, fcntl.LOCK_EX)
-    taken = os.fstat(queue).st_size
-    os.ftruncate(queue, taken + 1)
-    fcntl.lockf(queue, fcntl.LOCK_UN)
-    return taken
+    trees.each(measure, files)
+    rows = [json.loads(line) for file in folder.glob("*.jsonl") for line in file.read_text("utf-8").splitlines()]
+    if not rows:
+        raise RuntimeError(f"{root}: no test passes without a mutant, so none can find one")
+    return [Test(row["test"], row["seconds"], {*row["functions"]}) for row in rows]
 
 
 def module_files(settings: Settings, group: str) -> list[str]:
@@ -267,12 +242,12 @@ def sampled(settings: Settings, group: str) -> tuple[dict[str, int], list[tuple[
 
 
 def covering(tests: Sequence[Test], module: str, mutant: Mutant) -> tuple[list[Test], list[Test]]:
-    """Tests that are known to execute a line of the mutant, and others that execute its module."""
-    lines = set(range(mutant.line, mutant.last_line + 1))
-    users = [test for test in tests if module in test.lines]
-    found = users if mutant.at_import else [test for test in users if lines & test.lines[module]]
-    names = {test.test for test in found}
-    return found, [test for test in users if test.test not in names]
+    """Tests that call the function of the mutant, and others that call one of its module."""
+    users = [test for test in tests if any(name.startswith(f"{module} ") for name in test.functions)]
+    if mutant.at_import:
+        return users, []
+    found = [test for test in users if f"{module} {mutant.where}" in test.functions]
+    return found, [test for test in users if test not in found]
 
 
 def ranked(tests: Sequence[Test], kills: Counter[tuple[str, str]], module: str) -> list[Test]:
@@ -282,95 +257,81 @@ def ranked(tests: Sequence[Test], kills: Counter[tuple[str, str]], module: str) 
         of_all[name] += count
 
     def rate(test: Test) -> float:
-        return (1 + of_all[test.test] + 4 * kills[module, test.test]) / (0.05 + test.seconds)
+        return (1 + of_all[test.test] + 4 * kills[module, test.test]) / (EACH_S + test.seconds)
 
     return sorted(tests, key=lambda test: (-rate(test), test.test))
 
 
 def batches(tests: Sequence[Test], budget: float) -> Iterator[list[Test]]:
-    """In this order: a few tests, then all that the budget allows."""
-    first: list[Test] = []
-    for test in tests:
-        files = {each.file for each in (*first, test)}
-        if sum(each.seconds for each in first) + test.seconds <= FIRST_S and len(files) <= FIRST_FILES:
-            first.append(test)
-    chosen, spent = [], sum(test.seconds for test in first)
-    names = {test.test for test in first}
-    for test in tests:
-        if test.test not in names and spent + test.seconds <= budget:
-            chosen.append(test)
-            spent += test.seconds
-    yield from filter(None, (first, chosen))
+    """In this order: a few tests, then all others that the budget allows."""
+    spent, rest = 0.0, list(tests)
+    for limit in (FIRST_S, budget):
+        chosen = []
+        for test in rest:
+            if spent + EACH_S + test.seconds <= limit:
+                chosen.append(test)
+                spent += EACH_S + test.seconds
+        rest = [test for test in rest if test not in chosen]
+        if chosen:
+            yield chosen
 
 
-def kills_in(out: Path) -> Counter[tuple[str, str]]:
-    """(module, test) -> how many of the module's mutants the test has killed so far, in any process."""
-    return Counter((row["module"], row["by"]) for row in results(out) if row["status"] == "killed")
-
-
-def tried(tree: Tree, source: bytes, outcome: Outcome, mutant: Mutant, chosen: Iterator[list[Test]], out: Path) -> None:
+def tried(tree: Tree, outcome: Outcome, mutant: Mutant, chosen: Iterator[list[Test]], compiled: bool) -> None:
     """Run the mutant's tests until one fails; the tree is as before afterwards."""
+    source = (tree.folder / outcome.module).read_bytes()
     tree.plant(outcome.module, mutant.applied(source))
     try:
         for batch in chosen:
             outcome.tests += len(batch)
-            names, files = [test.test for test in batch], list(dict.fromkeys(test.file for test in batch))
             limit = START_S + 10.0 * sum(test.seconds for test in batch)
-            report = out / f"failure-{os.getpid()}.json"
-            ended = in_fork(tree.folder, files, Chosen(names, report), limit, report)
-            outcome.seconds += ended.seconds
-            if ended.code:
-                outcome.status = "timeout" if ended.code < 0 else "killed"
-                outcome.by, outcome.what = ended.report.get("test", "start"), ended.report.get("what", "")
-                return
+            code, said = tree.run("-x", *(test.test for test in batch), compiled=compiled, limit=limit)
+            if code:
+                failure = FAILURE.search(said)
+                outcome.status, outcome.by = "timeout" if code < 0 else "killed", failure[1] if failure else "start"
+                break
     finally:
         tree.plant(outcome.module, source)
 
 
 def run(settings: Settings) -> dict[str, Any]:
     """Run, or continue, a campaign; its result, which is also in campaign.json."""
-    out = settings.out.resolve()
-    settings.out = out
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "mitsuba").mkdir(exist_ok=True)
-    os.environ.update(MUTANTS_MEMORY=str(out / "mitsuba"), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    load_libraries()
+    out = settings.out = settings.out.resolve()
+    (out / "mitsuba").mkdir(parents=True, exist_ok=True)
     shutil.rmtree(out / "trees", ignore_errors=True)
-    first = copied_tree(settings.root, out / "trees" / "0")
-    ways = {is_compiled(settings, group) for group in settings.groups}
-    tests = {compiled: measured(settings, first, compiled) for compiled in ways}
-    trees = [first, *(copied_tree(first.folder, out / "trees" / str(job)) for job in range(1, settings.jobs))]
-    populations, jobs = {}, []
-    known = equivalents()
-    open_ones = {row["key"] for row in results(out) if row["status"] in SURVIVED and row["key"] not in known}
-    done = {row["key"] for row in results(out)} - (open_ones if settings.again else set())
-    for group in settings.groups:
+    trees = Trees(settings, out / "trees")
+    tests = {way: measured(settings, trees, way) for way in {is_compiled(settings, group) for group in settings.groups}}
+    known, before = equivalents(), results(out)
+    open_ones = {row["key"] for row in before if row["status"] in SURVIVED and row["key"] not in known}
+    done = {row["key"] for row in before} - (open_ones if settings.again else set())
+    kills = Counter((row["module"], row["by"]) for row in before if row["status"] == "killed")
+    populations, jobs, sound = {}, [], set[str]()
+    for group in settings.sources:
         populations[group], chosen = sampled(settings, group)
-        jobs += [(group, *each) for each in chosen if f"{each[0]} {each[2]}" not in done]
+        if group in settings.groups:
+            jobs += [(group, *each) for each in chosen if f"{each[0]} {each[2]}" not in done]
     random.Random(settings.seed).shuffle(jobs)  # so that an interrupted campaign has some of each group
 
-    def work(item: tuple[str, str, Mutant, str], job: int) -> None:
+    def work(tree: Tree, item: tuple[str, str, Mutant, str]) -> None:
         group, module, mutant, key = item
-        source = (settings.root / module).read_bytes()
         outcome = Outcome(
             f"{module} {key}", group, module, mutant.line, mutant.where, mutant.operator, mutant.old, mutant.new
         )
         compiled = is_compiled(settings, group)
-        os.environ["CASTER_JIT"] = str(int(compiled))
-        executing, others = covering(tests[compiled], module, mutant)
-        kills = kills_in(out)
-        order = [*ranked(executing, kills, module), *ranked(others, kills, module)]
-        tried(trees[job], source, outcome, mutant, batches(order, settings.budget), out)
-        if outcome.status == "survived" and not executing:
+        calling, others = covering(tests[compiled], module, mutant)
+        order = [*ranked(calling, kills, module), *ranked(others, kills, module)]
+        tried(tree, outcome, mutant, batches(order, settings.budget), compiled)
+        if outcome.status == "killed" and outcome.by in {test.test for test in order} - sound:
+            code, said = tree.run(outcome.by, compiled=compiled, limit=START_S + 10.0 * SLOWEST_TEST_S)
+            if code:
+                raise RuntimeError(f"{outcome.by} fails without a mutant as well\n{said}")
+            sound.add(outcome.by)
+        if outcome.status == "survived" and not calling:
             outcome.status = "not executed"
+        kills[module, outcome.by] += outcome.status == "killed"
         with (out / "results.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(asdict(outcome)) + "\n")
 
-    parallel(settings.jobs, jobs, work)
-    for group in settings.sources:
-        populations.setdefault(
-            group, {m: len(mutants_of((settings.root / m).read_bytes())) for m in module_files(settings, group)}
-        )
+    trees.each(work, jobs)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=settings.root, capture_output=True, text=True)
     result = {"commit": commit.stdout.strip(), "populations": populations, "outcomes": results(out)}
     (out / "campaign.json").write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -62,6 +62,16 @@ def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(comm
     assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()
 
 
+def test_a_ray_from_elsewhere_is_not_cast_as_of_the_common_origin():
+    arrays, rng = two_kinds(3)
+    rays = from_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0)
+    rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
+    unsampled = np.setdiff1d(np.arange(len(rays.o)), np.linspace(0, len(rays.o) - 1, SAMPLED_RAYS).astype(int))
+    rays.o[unsampled] = rays.o[0] - 2.0 * rays.d[unsampled]
+    slow = find_nearest(arrays, rays, "brute-force", 1)
+    assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()
+
+
 @pytest.mark.parametrize("number", range(LIGHTS * len(PAIRS)))
 def test_fans_find_the_shadows_that_brute_force_finds(number):
     """And take most of the rays, before any is left to the tree."""

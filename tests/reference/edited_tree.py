@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,16 +77,6 @@ def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
 LONG_CHECKS = ("knife_edges", "render")
 
 
-def run_tests(tree: Path, cache: Path, *argv: str, compiled: bool) -> subprocess.CompletedProcess[str]:
-    """pytest with the packages of a tree; with the compiler, kernels are kept in the folder `cache`."""
-    words = [sys.executable, "-P", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *argv]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": str(int(compiled)), "COLUMNS": "200"}
-    environment |= {"XDG_CACHE_HOME": str(cache)} if compiled else {}
-    return subprocess.run(
-        words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
-    )
-
-
 class Forks:
     """`run`, for many commands: in forks of one process; see forked_runs.py."""
 
@@ -116,12 +106,22 @@ class Forks:
         return self.servers[home]
 
     def run(
-        self, tree: Path, *argv: str, module: str = "mitsuba_ref", without: Sequence[str] = ()
+        self,
+        tree: Path,
+        *argv: str,
+        module: str = "mitsuba_ref",
+        without: Sequence[str] = (),
+        environment: Mapping[str, str] = {},
+        folder: Path = ROOT,
+        limit: float | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        """The same as the function `run`, sooner. without: checks that `validate` shall pass over."""
+        """The same as the function `run`, sooner. without: checks that `validate` shall pass over.
+
+        environment: more variables. folder: where it is run. limit: CPU seconds, after which the exit code is negative.
+        """
         out, err = self.folder / "out", self.folder / "err"
-        order = {"tree": tree, "module": module, "argv": argv, "out": out, "err": err}
-        order |= {"memory": self.memory, "without": without}
+        order = {"tree": tree, "module": module, "argv": argv, "out": out, "err": err, "folder": folder}
+        order |= {"memory": self.memory, "without": without, "environment": environment, "limit": limit}
         code = self.obeyed(self.server(tree), json.dumps(order, default=str))
         return subprocess.CompletedProcess(argv, code, *(file.read_text(encoding="utf-8") for file in (out, err)))
 

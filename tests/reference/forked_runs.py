@@ -3,7 +3,7 @@
 Starting Python, loading the libraries and starting Mitsuba takes three times as long as judging a small film. The
 process loads the libraries and nothing else: each fork loads the code under test from its own tree. A process that is
 given a tree loads that as well, and forks only for commands of this tree, which must not be edited. With a memory,
-Mitsuba's answers are stored there; a fault that alters rays or scene has it asked again.
+`validate` and `judge` store Mitsuba's answers there; a fault that alters rays or scene has it asked again.
 
 As a program it reads orders, a line of JSON each, and answers each with a line that holds the exit code.
 """
@@ -11,13 +11,17 @@ As a program it reads orders, a line of JSON each, and answers each with a line 
 import importlib
 import json
 import os
+import resource
 import runpy
 import sys
 from pathlib import Path
 from typing import Any
 
 PACKAGES = ("caster", "mitsuba_ref")
-LIBRARIES = ("numpy.ma", "numpy.random", "numpy.typing", "pydantic.main", "pydantic.json_schema", "tree_sitter")
+LIBRARIES = (
+    *("numpy.ma", "numpy.random", "numpy.typing", "pydantic.main", "pydantic.json_schema", "tree_sitter"),
+    *("hypothesis", "pytest"),
+)
 COMMANDS = (  # what they load
     "mitsuba_ref.runner.validation_run",
     "mitsuba_ref.probe.pixel",
@@ -45,18 +49,38 @@ def serve(home: str | None = None) -> None:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
-def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> Any:
-    """Do what `python -P -m module argv` does with PYTHONPATH=tree; its output goes to the files out and err.
+MEMORY_LIMIT = 6 << 30  # bytes of address space of a command with a limit: an edit may allocate for ever
 
-    without: names of checks of our caster that `validate` leaves out.
+
+def obey(
+    tree: str,
+    module: str,
+    argv: list[str],
+    out: str,
+    err: str,
+    memory: str | None,
+    without: list[str],
+    environment: dict[str, str],
+    folder: str,
+    limit: float | None,
+) -> Any:
+    """Do what `python -P -m module argv` does in a folder with PYTHONPATH=tree; its output goes to the files out, err.
+
+    without: names of checks of our caster that `validate` leaves out. limit: CPU seconds, after which it is killed.
     """
+    if limit:
+        resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 2))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
+    os.chdir(folder)
+    os.environ.update(environment)
     new = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
     for number, file, flags in ((0, os.devnull, os.O_RDONLY), (1, out, new), (2, err, new)):
         os.dup2(os.open(file, flags), number)
     os.environ["PYTHONPATH"] = tree
-    sys.path.insert(0, tree)
+    sys.path[:0] = tree.split(os.pathsep)
     sys.argv = [module, *argv]
-    if module == "pytest":  # it warns of a plugin that is imported before it
+    if module == "pytest":  # it loads the tree, and warns of libraries that are loaded before it
+        sys.argv += ["-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
         return runpy.run_module(module, run_name="__main__", alter_sys=True)
     if memory and argv[:1] in (["validate"], ["judge"]):
         reuse_answers(memory)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from places import shipped
 
-from caster.scene.files import load_scene
 from caster.scene.model import Scene
 
 
@@ -183,7 +183,7 @@ def mirrored(v, axis):
 def scene_of(name: str, folder: Path, width: int = 24, height: int = 18) -> Scene:
     """A shipped scene, or one of these, with a small film. folder: for files of meshes."""
     if name not in MADE:
-        return load_scene(Path(__file__).parents[2] / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+        return shipped(name, width, height)
     camera = {"type": "pinhole", "eye": (0.3, 0.2, 5.0), "look_at": (0, 0, 0), "fov": 40}
     if name == "from above":
         camera = {"type": "orthographic", "eye": (0.3, 0.2, 5.0), "direction": (0, 0, -1), "width": 1}

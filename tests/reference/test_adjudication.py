@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from edited_tree import ROOT, run
 from mitsuba_scenes import scene_judge
+from places import shipped
 
 import caster
 from caster.aovs import Aovs
@@ -182,7 +183,7 @@ def test_a_broken_exporter_is_no_defect_of_mitsuba(judged, monkeypatch, what):
 
 @pytest.fixture(scope="module")
 def one_cube(brought) -> Judge:
-    return brought(load_scene(ROOT / "scenes/shared-edges-cube.toml").with_film(width=25, height=25))
+    return brought(shipped("shared-edges-cube", 25, 25))
 
 
 @pytest.fixture
@@ -291,7 +292,7 @@ def test_edges_disputes_and_a_sample_are_requested(brought):
 
 
 def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
-    judge = brought(load_scene(ROOT / "scenes/every-shape.toml").with_film(width=64, height=60))
+    judge = brought(shipped("every-shape", 64, 60))
     packed, kinds = judge.model.packed, set()
     shapes = aov_rows(judge.pair.subject, "shape_id")
     for row in (np.flatnonzero(shapes == shape)[0] for shape in np.unique(shapes[shapes >= 0])):

@@ -1,10 +1,9 @@
 """Films judged in bands: the verdict is that of the whole film, and memory does not grow with it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from candidates import ours
+from places import shipped
 
 import caster
 from mitsuba_ref.judge import classification, pipeline
@@ -14,7 +13,6 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import function_subject
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
 SIZE, BAND = (60, 42), 420  # six bands of seven rows
 
 
@@ -30,7 +28,7 @@ def small_bands(monkeypatch):
 
 
 def scene(name: str) -> caster.Scene:
-    return caster.load_scene(SCENES / f"{name}.toml").with_film(width=SIZE[0], height=SIZE[1])
+    return shipped(name, SIZE[0], SIZE[1])
 
 
 @pytest.mark.parametrize("window", [(0, 0, 60, 42), (3, 5, 57, 40), (7, 0, 8, 42)])

@@ -7,16 +7,15 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT, SCENES, shipped
 
 import caster
 from caster.description.errors import SceneError
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr
-from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
@@ -27,7 +26,6 @@ from mitsuba_ref.subjects.command import ExrFile, Program, answer_from_exr
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer
 
-SCENES = Path(__file__).parents[2] / "scenes"
 PYTHON = shlex.quote(sys.executable)
 RENDER = f"{PYTHON} -m caster render {{toml}} -o {{exr}} --aov depth,normal"
 
@@ -55,7 +53,7 @@ write_exr(sys.argv[2], channels | {f"normal.{axis}": normal[..., c] for c, axis 
 
 
 def small(name: str) -> Scene:
-    return load_scene(SCENES / f"{name}.toml").with_film(width=16, height=12)
+    return shipped(name, 16, 12)
 
 
 @pytest.fixture
@@ -233,8 +231,6 @@ def test_a_program_is_not_run_by_a_shell(judged, tmp_path):
     found = judged(f"{PYTHON} -c 'import sys; sys.exit(sys.argv[1])' '$HOME;' {{exr}} {{toml}}", scene)
     assert "exit code 1: $HOME;" in found.problem
 
-
-ROOT = Path(__file__).resolve().parents[2]
 
 ENDS = """
 import atexit, ctypes, multiprocessing, os, time

@@ -3,13 +3,13 @@
 import json
 import re
 import shlex
-from pathlib import Path
 
 import candidates
 import mistakes
 import numpy as np
 import pytest
 from mitsuba_scenes import scene_judge
+from places import ROOT, shipped
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
@@ -21,12 +21,11 @@ from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Subject
 
-ROOT = Path(__file__).parents[2]
 HIT, MISS = (5, 4), (0, 0)  # of one-sphere
 
 
 def small(name: str = "one-sphere") -> Scene:
-    return load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=12, height=9)
+    return shipped(name, 12, 9)
 
 
 @pytest.fixture
@@ -106,7 +105,7 @@ def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
 
 def test_a_pixel_that_validate_left_out_is_adjudicated(at, send):
     """Of hundreds of pixels that are wrong alike, validate looks at a sample."""
-    scene = load_scene(ROOT / "scenes" / "one-sphere.toml").with_film(width=60, height=60)
+    scene = shipped("one-sphere", 60, 60)
     subject = FunctionSubject("off", candidates.t_off_by_a_ten_thousandth)
     row = int(scene_judge(scene, subject, send=send).judge().not_adjudicated[-1])
     found = at(subject, (row % 60, row // 60), scene)

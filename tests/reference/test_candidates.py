@@ -10,6 +10,7 @@ from typing import Any
 import candidates
 import numpy as np
 import pytest
+from places import ROOT, shipped
 
 import caster
 from caster.cameras.single_ray import Ray
@@ -25,7 +26,6 @@ from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects.function import FunctionSubject
 
-ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 WORKED = ROOT / "docs" / "candidates"
 LARGE_SCENES = {"hills-131072-triangles", "two-thousand-spheres"}  # for a loop over all of them
@@ -34,7 +34,7 @@ Judged = Callable[..., SceneVerdict]
 
 
 def small(name: str, width: int = 24, height: int = 18) -> Scene:
-    return load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+    return shipped(name, width, height)
 
 
 def worked(name: str) -> object:

@@ -3,13 +3,12 @@
 import importlib.util
 import re
 import shutil
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from mitsuba_ref.reference.variants import usable_variants
 
-ROOT = Path(__file__).resolve().parents[2]
 # Page -> programs and modules that its commands need beside the product.
 PAGES = {"quick-start": (), "debugging": (), "recipes/embree": ("cc", "embreex"), "recipes/open3d": ("open3d",)}
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from edited_tree import ROOT
+from places import shipped
 
 import caster
 from caster.geometry.packing import Packed, pack
@@ -37,7 +38,7 @@ class Asked:
     """A scene with Mitsuba's answer, asked for once; ours is traced anew for each fault."""
 
     def __init__(self, send: SendRequest, name: str, width: int, height: int, more: Sequence[Any] = ()):
-        scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+        scene = shipped(name, width, height)
         self.scene: Scene = scene.model_copy(update={"shapes": [*scene.shapes, *more]})
         self.rays: SharedRays = shared_rays(self.scene)
         self.packed: Packed = pack(self.scene, as_float32)

@@ -1,10 +1,10 @@
 """The classes explained and out_of_domain excuse rounding and nothing else."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from places import SCENES
 
 import caster
 from caster.rendering.hits import RayHits
@@ -17,7 +17,6 @@ from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
 
-SCENES = Path(__file__).parents[2] / "scenes"
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
 
 

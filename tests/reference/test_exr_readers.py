@@ -2,20 +2,17 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT, shipped
 
 import caster
 from caster import __version__
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
-from caster.scene.files import load_scene
 from mitsuba_ref.exr_compare.two_files import Reading, compare_exr
 from mitsuba_ref.reference.shared_input import export_scene
-
-ROOT = Path(__file__).parents[2]
 
 READ = """
 import sys
@@ -62,7 +59,7 @@ scene.sensors()[0].film().bitmap().write(sys.argv[2])
 @pytest.mark.parametrize("name", ["cornell-box", "near-far-clip", "orthographic"])
 def test_mitsubas_own_image_of_our_export_passes_with_its_conventions_stated(tmp_path, name):
     """Its depth counts from the near plane, and a miss is 0."""
-    scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=32, height=24)
+    scene = shipped(name, 32, 24)
     xml = export_scene(scene).write(tmp_path)
     command = [sys.executable, "-c", RENDER, str(xml), str(tmp_path / "theirs.exr")]
     subprocess.run(command, capture_output=True, check=True, cwd=ROOT)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from edited_tree import LONG_CHECKS, ROOT, copy_tree, edit, run_tests, said_beside_progress
+from edited_tree import LONG_CHECKS, ROOT, copy_tree, edit, said_beside_progress
 
 
 class Fault(NamedTuple):
@@ -48,7 +48,9 @@ def obey(forks, coarse_scenes, tmp_path):
         places = {"scenes": coarse_scenes, "files": ROOT / "tests/mitsuba_files", "out": tmp_path / "out"}
         module, *words = shlex.split(fault.run.format(**places))
         if module == "pytest":
-            return run_tests(tree, tmp_path, *words, compiled=fault.compiled)
+            cache = {"CASTER_JIT": "1", "XDG_CACHE_HOME": str(tmp_path)} if fault.compiled else {}
+            environment = {"COLUMNS": "200", **cache}
+            return forks.run(tree, "-q", "-x", *words, module=module, environment=environment)
         without = [name for name in LONG_CHECKS if name not in says] if module == "validate" else ()
         return forks.run(tree, module, *words, without=without)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edited_tree import NO_REMARKS
+from places import ROOT
 
 from caster.rendering import hits, images
 from caster.rendering.casting import find_nearest
@@ -23,7 +24,6 @@ from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.verdict import Failure
 from mitsuba_ref.reference.messages import Crash
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "scenes" / "one-sphere.toml"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT, shipped
 
 import caster
 import mitsuba_ref
@@ -18,7 +19,6 @@ from mitsuba_ref.reference.original_files import Opening, import_xml, open_scene
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import export_scene, shared_rays
 
-ROOT = Path(__file__).resolve().parents[2]
 SENSOR = '<sensor type="perspective"><transform name="to_world"><translate z="-5"/></transform></sensor>'
 BALL = '<shape type="sphere" id="ball"/>'
 
@@ -134,7 +134,7 @@ EXPORTED = ("every-shape", "ellipsoids", "crop-window", "orthographic-clip", "tr
 @pytest.mark.parametrize("name", EXPORTED)
 def test_an_exported_scene_passes_as_an_original(name, tmp_path):
     """With its camera, compared with the sensor, as the check of the same name says."""
-    path = export_scene(load_scene(ROOT / f"scenes/{name}.toml").with_film(width=36, height=24)).write(tmp_path)
+    path = export_scene(shipped(name, 36, 24)).write(tmp_path)
     scene = mitsuba_ref.validate(path).scenes[0]
     assert scene.ok and not scene.counts["wrong"] and {"sensor", "camera"} <= {check.name for check in scene.checks}
     assert scene.coverage.judged == scene.coverage.shapes

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
+from places import ROOT
 
 from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
 from mitsuba_ref.reference.interpreter import child_command
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
-ROOT = Path(__file__).resolve().parents[2]
 HANG = """
 import os, subprocess, sys, time
 print("grandchild", subprocess.Popen(["sleep", "600"]).pid, flush=True)

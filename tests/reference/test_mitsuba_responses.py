@@ -3,12 +3,12 @@
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, shape, sun, write
+from places import ROOT
 
 import caster
 import mitsuba_ref
@@ -18,7 +18,6 @@ from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import render_reference
 
 HERE = VARIANTS if variants.usable_variants().libllvm else VARIANTS[:1]  # the run's header says which
-ROOT = Path(__file__).resolve().parents[2]
 U = 2.0**-24
 
 GROUP = '<shape type="shapegroup" id="group"><shape type="sphere" id="unit"/></shape>'

@@ -9,13 +9,13 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import Crash
 
 pytest_plugins = "pytester"
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = """# A ball.
 [film]
 width = 60

@@ -1,16 +1,15 @@
 """docs/tutorial.ipynb: its cells run, and what they print is what it shows."""
 
 import sys
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from mitsuba_ref.reference.variants import usable_variants
 
-ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "docs"))
 
-import notebook  # noqa: E402 - docs/notebook.py, which runs the cells
+import notebook
 
 
 @pytest.mark.slow("a page of docs: three runs of a caster in NumPy")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mitsuba_scenes import has_t, job, shape, write
+from places import ROOT
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
@@ -14,7 +15,6 @@ from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.store import user_store
 from mitsuba_ref.reference.variants import LIBLLVM_ENVIRONMENT_VARIABLE, VariantError, usable_variants, variant_for
 
-ROOT = Path(__file__).resolve().parents[2]
 OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
 
 

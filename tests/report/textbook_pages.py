@@ -1,17 +1,15 @@
 """The textbook caster of docs/candidates, with its mistake, before the judge at a small size."""
 
 import importlib.util
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import planted
+from places import ROOT, shipped
 
-from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.verdict import SceneVerdict
 
-ROOT = Path(__file__).parents[2]
 WIDTH, HEIGHT = 20, 16
 FILE = ROOT / "docs/candidates/textbook.py"
 
@@ -53,7 +51,7 @@ def trace_with_gaps(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndar
 
 
 def inside_sphere() -> Scene:
-    return load_scene(ROOT / "scenes/inside-sphere.toml").with_film(width=WIDTH, height=HEIGHT)
+    return shipped("inside-sphere", WIDTH, HEIGHT)
 
 
 def verdicts() -> dict[str, SceneVerdict]:

@@ -1,7 +1,6 @@
 """A registered AOV of a plug-in renders like the built-in ones, in films, arrays and brute force."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, per_hit
 from caster.rendering.hits import RayHits
 from caster.rendering.images import trace_film
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def slope(hit: Hit) -> tuple[float, float]:

@@ -2,11 +2,11 @@
 
 import json
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from places import SCENES
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
@@ -28,7 +28,6 @@ from mitsuba_ref.judge.verdict import KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.verdict_text import failure_text
 from mitsuba_ref.shapes import KINDS
 
-SCENES = Path(__file__).parents[2] / "scenes"
 NOTHING = np.zeros((0, 3))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT, shipped
 from verdict_factory import scene
 
 from caster.description.errors import SceneError
@@ -17,7 +18,6 @@ from mitsuba_ref.report import validation
 from mitsuba_ref.runner.many_scenes import JudgeOptions, matching
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 
-ROOT = Path(__file__).resolve().parents[2]
 BUILTIN = ROOT / "mitsuba_ref" / "runner" / "builtin"
 SCENES = sorted(BUILTIN.glob("*/*.toml"))
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
@@ -166,7 +166,7 @@ def test_a_damaged_list_of_known_failures_is_an_error(tmp_path, text, message):
 
 
 def test_a_film_beyond_the_memory_is_refused_with_the_numbers(monkeypatch):
-    scene = load_scene(ROOT / "scenes/one-sphere.toml").with_film(width=20_000, height=20_000)
+    scene = shipped("one-sphere", 20_000, 20_000)
     monkeypatch.setattr(validation, "available_bytes", lambda: 8e9)
     with pytest.raises(SceneError, match=r"20000 x 20000 pixels need some 580\.0 GB .* and 8\.0 GB are left"):
         validation.check_memory(scene)

@@ -1,14 +1,13 @@
 """The registry of a scene's checks."""
 
 import re
-from pathlib import Path
+
+from places import ROOT
 
 from caster import Pinhole, Scene
 from mitsuba_ref.judge.checks import OURS, all_checks, checks_of, make_checks
 from mitsuba_ref.judge.checks.shapes import check_materials
 from mitsuba_ref.judge.verdict import SceneCheck
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_method_page_lists_the_checks():

@@ -2,17 +2,16 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import pytest
 import yaml
+from places import ROOT
 
 from caster.cli import COMMANDS as CASTER
 from caster.cli import application
 from caster.system import process
 from mitsuba_ref.cli import COMMANDS as JUDGE
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/recipes/*.md")]
 PARSERS = {

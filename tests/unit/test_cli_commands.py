@@ -6,9 +6,9 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import caster
 from caster.__main__ import main
@@ -17,7 +17,6 @@ from caster.description.errors import FileMissing, SceneError
 from caster.system import process
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
-ROOT = Path(__file__).resolve().parents[2]
 SLOW = {"numba", "PIL", "llvmlite", "mitsuba", "drjit"}
 PROGRAMS = [
     ("caster", "caster", COMMANDS, SLOW | {"OpenEXR", "numpy", "pydantic", "pydantic_core", "rich"}),

@@ -1,10 +1,10 @@
 """`caster probe`: the pixel it shows is the pixel that render computes."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SCENES
 
 import caster
 from caster.__main__ import main
@@ -33,7 +33,6 @@ name = "box"
 to_world = [{{ scale = 0.4 }}, {{ rotate = {{ axis = [1, 2, 3], degrees = 9 }} }},
     {{ translate = [0.7, 0.3, 1] }}]
 """
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
 AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "prim_id")
 
 

@@ -1,7 +1,5 @@
 """`caster render` writes the same bytes every time, with their provenance."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = """
 [film]
 width = 24

@@ -5,7 +5,8 @@ import importlib.util
 import re
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from places import ROOT
+
 PAGES = sorted([*ROOT.glob("docs/**/*.md"), ROOT / "README.md"])
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 

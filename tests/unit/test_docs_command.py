@@ -3,14 +3,13 @@
 import re
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli import pages
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
 

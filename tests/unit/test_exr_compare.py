@@ -1,6 +1,7 @@
 """`mitsuba-ref compare`: equal images pass, and no wrong one ever does."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,14 +129,25 @@ def with_value(name: str, value: float, where=INSIDE) -> Channels:
 
 MISS = tuple(int(i) for i in np.argwhere(~HIT)[0])
 FLOATS = [name for name in EXACT if name != "id.shape"]
+NO_LIMIT = Tolerances(**dict.fromkeys(("depth_rtol", "normal_atol", "uv_atol", "color_rtol", "color_atol"), 1e30))
+EVERY_PIXEL = replace(NO_LIMIT, max_pixels=10**6)
 
 
-def test_values_that_are_not_finite_fail_even_when_both_files_agree(tmp_path):
-    """Other such files are in test_exr_canaries.py; the depth of a miss is the one infinity that means something."""
-    for name in FLOATS:
-        for value, where in ((np.nan, INSIDE), (np.inf, INSIDE), (np.nan, MISS)):
-            wrong = with_value(name, value, where)
-            assert compared(tmp_path, wrong, wrong, Tolerances(max_pixels=10**6)).exit_code == 1, (name, value, where)
+@pytest.mark.parametrize("provenance", [SCENE, {}], ids=["ours", "foreign"])
+def test_values_that_are_not_finite_fail_whatever_the_tolerances_also_where_both_files_agree(tmp_path, provenance):
+    """The depth of a miss is the one infinity that means something.
+
+    idiff of OpenImageIO 3.2.2 passes NaN and inf; FLIP and gates such as `abs(a - b).max() > tolerance` pass NaN.
+    """
+    places = (np.nan, INSIDE), (np.inf, INSIDE), (-np.inf, INSIDE), (np.nan, MISS), (-np.inf, MISS)
+    images = [with_value(name, value, where) for name in FLOATS for value, where in places]
+    images.append({n: a if n == "id.shape" else np.full_like(a, np.nan) for n, a in EXACT.items()})
+    write_exr(tmp_path / "good.exr", EXACT, provenance)
+    for wrong in images:
+        write_exr(tmp_path / "bad.exr", wrong, provenance)
+        for pair in (("good", "bad"), ("bad", "good"), ("bad", "bad")):
+            result = compare_exr(*(tmp_path / f"{each}.exr" for each in pair), EVERY_PIXEL)
+            assert result.exit_code == 1 and "FAIL" in text(result), pair
 
 
 def test_one_missed_pixel_fails_and_is_named(tmp_path):
@@ -149,6 +161,9 @@ def test_one_missed_pixel_fails_and_is_named(tmp_path):
     assert result.hit_ours == HIT.sum() - 1 and result.hit_either == HIT.sum()
     assert f"FAIL  hit: 1 of {HIT.sum()} hit pixels" in text(result) and "(15, 14)" in text(result)
     assert compared(tmp_path, ours, EXACT, Tolerances(max_pixels=1)).ok
+    assert (
+        compared(tmp_path, ours, EXACT, NO_LIMIT).exit_code == compared(tmp_path, EXACT, ours, NO_LIMIT).exit_code == 1
+    )
 
 
 def test_a_value_in_a_missed_pixel_is_compared_too(tmp_path):

@@ -7,11 +7,11 @@ import json
 import subprocess
 import sys
 import weakref
-from pathlib import Path
 
 import numpy as np
 import OpenEXR
 import pytest
+from places import ROOT
 
 import caster
 from caster.__main__ import main
@@ -21,7 +21,6 @@ from caster.image.exr import NO_ID
 from caster.rendering import images
 from caster.system.process import INTERRUPTED
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE, SIZE, CROP = str(ROOT / "scenes/flat-shapes.toml"), (24, 18), (5, 3, 20, 17)
 NAMES = tuple(aov.NAME for aov in AOVS)
 CHANNELS = {

@@ -133,3 +133,14 @@ def test_info_lists_the_parts(tmp_path, capsys):
     assert caster_main(["info", str(path)]) == 0
     out = capsys.readouterr().out
     assert "2 parts as one image:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out
+
+
+@pytest.mark.parametrize("second", [ramp(), np.full(SHAPE, np.nan, np.float32)], ids=["good", "NaN"])
+def test_two_parts_that_hold_the_same_layers_never_pass(tmp_path, capsys, second):
+    """Which part is meant? It is a question, also where the first part is good."""
+    good, parts = tmp_path / "good.exr", tmp_path / "parts.exr"
+    save(good, {"0": {"depth.Z": ramp()}})
+    save(parts, {"0": {"depth.Z": ramp()}, "1": {"depth.Z": second}})
+    for pair in ((good, parts), (parts, good), (parts, parts)):
+        assert main(["compare", *map(str, pair), "--depth-rtol=1e30"]) == 3
+        assert "may both be the depth: --map depth=0.depth.Z" in capsys.readouterr().err

@@ -2,10 +2,10 @@
 
 import copy
 import json
-from pathlib import Path
 
 import pytest
 from pages import read_result
+from places import ROOT
 from verdict_factory import scene, verdict
 
 from caster.description.errors import SceneError
@@ -13,7 +13,6 @@ from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench.result import Run
 from mitsuba_ref.runner.verdict_files import UnreadableVerdict, read_verdict
 
-ROOT = Path(__file__).resolve().parents[2]
 INTERNAL = 70
 NESTED = "[" * 100_000
 

@@ -4,11 +4,11 @@ An error in one of them is found whatever the other one is like.
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from places import SCENES as FOLDER
 
 from caster.cameras import Pinhole
 from caster.description.fields import Shape
@@ -20,7 +20,6 @@ from mitsuba_ref.judge.checks import shapes, worst_share
 from mitsuba_ref.judge.checks.shapes import PRECISIONS, Precision, check_geometry
 from mitsuba_ref.shapes import reference_of
 
-FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 SCENES = sorted(FOLDER.glob("*.toml"))
 GEM = next(FOLDER.rglob("gem.obj"))  # without normals of its own
 CAMERA = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "docs"))
 
-import architecture  # noqa: E402 - docs/architecture.py, which reads the import graph
+import architecture
 
 STDLIB = frozenset(sys.stdlib_module_names)
 TYPING = ("typing", "collections.abc")  # words for the type checker; nothing of them runs per ray

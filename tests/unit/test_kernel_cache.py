@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from caster.jit import machine_code
 from caster.jit.arguments import describe, key_text
 from caster.jit.decorators import COMPILATION_LOG, jit
 from caster.jit.kernel_cache import COMPILED, claim, read_sealed, write_sealed
-
-ROOT = Path(__file__).resolve().parents[2]
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 

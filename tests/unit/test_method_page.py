@@ -2,19 +2,18 @@
 
 import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from caster.scene.files import load_scene
 from mitsuba_ref.error_model.bounds import reference_bounds
 from mitsuba_ref.reference.shared_input import own_model, packed_float32
 
-ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "docs"))
 
-import method_pixel  # noqa: E402 - docs/method_pixel.py, which writes the pixel
+import method_pixel
 
 PAGE = method_pixel.PAGE.read_text(encoding="utf-8")
 

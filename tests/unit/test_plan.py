@@ -4,10 +4,10 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
@@ -18,7 +18,6 @@ from caster.jit.kernel_cache import COMPILED
 from caster.rendering.images import render_film, trace_film
 from caster.scene.model import Ambient, Directional, Point
 
-ROOT = Path(__file__).resolve().parents[2]
 EYE = {"eye": (0.3, 0.4, 6.0), "look_at": (0.0, 0.0, 0.0)}
 LAMP = Point(position=(3, 4, 5), intensity=(9, 9, 9))
 

@@ -1,10 +1,9 @@
 """Previews of AOVs: colours of known values, misses, broken values, sheets and files."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
+from places import ROOT
 
 import caster
 from caster.__main__ import main
@@ -24,7 +23,6 @@ from caster.image.previews import (
 
 pytestmark = pytest.mark.usefixtures("warm")
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = """
 [film]
 width = 24

@@ -2,14 +2,14 @@
 
 import subprocess
 import sys
-from pathlib import Path
+
+from places import ROOT
 
 import caster
 from caster.cameras import CAMERAS
 from caster.scene.model import LIGHTS
 from caster.shapes import SHAPES
 
-ROOT = Path(__file__).resolve().parents[2]
 RECITED = {
     "load_scene",
     "Scene",

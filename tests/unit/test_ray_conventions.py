@@ -2,13 +2,12 @@
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SCENES, shipped
 
 import caster
-from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.checks import ray_conventions
 from mitsuba_ref.judge.checks.ray_conventions import LENGTHS, LIMITS, RAYS, check_ray_conventions, check_ray_limits
@@ -16,11 +15,9 @@ from mitsuba_ref.subjects.command import RayCommand
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.requests import parse_candidate
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
-
 
 def scene_of(name):
-    return load_scene(SCENES / f"{name}.toml").with_film(width=24, height=20)
+    return shipped(name, 24, 20)
 
 
 def length(d):

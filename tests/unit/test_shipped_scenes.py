@@ -7,13 +7,13 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from places import SCENES as FOLDER
 
 from caster.aovs import BY_NAME
 from caster.rendering.images import render
 from caster.scene.files import load_scene, scene_schema
 from caster.scene.model import Scene
 
-FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 SCENES = sorted(FOLDER.glob("*.toml"))
 SIDE = 32  # pixels
 

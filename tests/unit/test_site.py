@@ -2,14 +2,12 @@
 
 import importlib.util
 import re
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import caster
 import mitsuba_ref
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture

@@ -2,17 +2,16 @@
 
 import re
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, find, given, settings
+from places import ROOT
 
 import caster
 from mitsuba_ref.strategies import TRIANGLES, rays, scenes
 
-ROOT = Path(__file__).resolve().parents[2]
 FEW = settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow])
 
 

@@ -3,21 +3,18 @@
 import os
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import shipped
 from verdict_factory import scene as made
 
-from caster.scene.files import load_scene
 from caster.system.terminal import folded
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
 from mitsuba_ref.report.results import aligned, print_lines
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import LEGEND, failure_text, table_head, table_row
 from mitsuba_ref.subjects.function import FunctionSubject
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def printed(text):
@@ -79,7 +76,7 @@ def test_a_row_of_scenes_fits_80_columns_and_names_only_classes_that_it_has(coun
 
 
 def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):
-    scene = load_scene(ROOT / "scenes/one-sphere.toml").with_film(width=4, height=3)
+    scene = shipped("one-sphere", 4, 3)
     away = scene.model_copy(update={"camera": scene.camera.model_copy(update={"look_at": (0.0, 0.0, 99.0)})})
     text = failure_text(
         validate_scene(away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o)))

@@ -7,9 +7,9 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS
@@ -23,7 +23,6 @@ from caster.scene.model import LIGHTS
 from caster.system.terminal import compilation_reported
 from mitsuba_ref.runner.workers import Workers
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = "scenes/one-sphere.toml"
 
 
