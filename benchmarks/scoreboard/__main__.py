@@ -28,7 +28,7 @@ OURS = "ours"
 def subject_of(entry: Entry, build: Path) -> judging.ServedCommand:
     """The program that serves a caster. Raises NotInstalledError."""
     served = parse_candidate(roster.command(entry, build), entry.precision, judging.SECONDS, served=True)
-    return replace(served, limits=entry.limits)
+    return replace(served, takes_limits=entry.limits)
 
 
 def closed(subject: judging.ServedCommand) -> None:
