@@ -18,8 +18,8 @@ from mitsuba_ref.reference.shared_input import shared_rays
 from mitsuba_ref.reference.subprocess_runner import ResidentProcess, length_first
 from mitsuba_ref.report.builtin_scenes import folders_of
 from mitsuba_ref.runner.many_scenes import SceneEntry
-from mitsuba_ref.stress.score import Absent, PreparedSetting, Scorer, ask_candidate, prepare_setting
-from mitsuba_ref.subjects.command import ServedCommand, mesh_bytes, number_type
+from mitsuba_ref.stress.sweeps import Absent, PreparedSetting, Scorer, ask_candidate, prepare_setting
+from mitsuba_ref.subjects.command import ServedCommand, mesh_bytes
 from mitsuba_ref.subjects.subject import Answer
 
 from . import exact
@@ -225,7 +225,7 @@ def speeds(commands: Sequence[ServedCommand]) -> list[tuple[float, float]]:
     rows = np.column_stack([o, inside - o, np.zeros(MOST_RAYS), np.full(MOST_RAYS, np.inf)])
 
     def seconds(i: int, count: int) -> float:
-        data = rows[:count].astype(number_type(commands[i].precision)).tobytes()
+        data = rows[:count].astype(commands[i].numbers).tobytes()
         request = length_first(mesh) + length_first(data)
         begin = time.perf_counter()
         programs[i].request(request, SECONDS)
