@@ -11,7 +11,7 @@ from statistics import median
 import numpy as np
 
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.hard.swept_families import NO_VIEW, SWEPT
+from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.judge.adjudication import prepare_scene
 from mitsuba_ref.judge.checks import run_checks
 from mitsuba_ref.reference.shared_input import shared_rays
@@ -76,7 +76,7 @@ def setting(column: str, x: float | str, rays: int | None = None) -> PreparedSet
         shared = shared_rays(scene)
         ready = prepare_scene(scene, shared.o, shared.d)
         family = Family(column, "", make=lambda rng, value: None)
-        return PreparedSetting(**vars(ready), family=family, x=x, data=dict(NO_VIEW))
+        return PreparedSetting(**vars(ready), family=family, x=x)
     family = next(each for each in SWEPT if each.name == column)
     return prepare_setting(family, SEED, x, rays or (CLOSED_RAYS if family.closed else RAYS))
 
