@@ -198,6 +198,16 @@ def test_crashes_are_not_kept_and_a_folder_that_cannot_be_written_costs_time_onl
     assert send_stored(request_) is crash and not folder.exists()
 
 
+def test_files_are_listed_a_few_times_and_the_limit_is_nearly_kept(tmp_path, monkeypatch):
+    kept, listings, list_files = StoreFolder(tmp_path / "store", 100_000), [], StoreFolder._files
+    monkeypatch.setattr(StoreFolder, "_files", lambda self: listings.append(1) or list_files(self))
+    largest = 0
+    for i in range(4000):
+        kept.put(key_of([str(i)]), b"x" * 60)
+        largest = max(largest, sum(file.stat().st_size for file in kept.folder.iterdir()) if i % 100 == 99 else 0)
+    assert 50 < len(listings) < 400 and 90_000 < largest < 120_000
+
+
 def test_the_least_recently_used_make_room(tmp_path):
     kept = StoreFolder(tmp_path / "store", 1000)
     for i, key in enumerate("abc"):
