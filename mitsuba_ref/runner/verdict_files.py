@@ -75,8 +75,9 @@ def modules_for(scene: Scene) -> set[str]:
 
 def code_hash(modules: Collection[str] | None = None) -> str:
     """A hash of the source files of both packages, or of some modules."""
-    chosen = sources() if modules is None else sorted(modules)
-    return key_of(part for name in chosen for part in (name, sources()[name].digest))
+    known = sources()
+    chosen = known if modules is None else sorted(modules)
+    return key_of(part for name in chosen for part in (name, known[name].digest))
 
 
 def verdict_key(scene: Scene, path: str, **about: Any) -> str:

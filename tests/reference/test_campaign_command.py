@@ -98,6 +98,7 @@ def test_every_kind_of_unit_is_judged_and_kept_and_nothing_is_computed_twice(cam
     assert main(["campaign", "c.history.sqlite"]) == 0 and "run 1, complete: 5 of 5 units" in capsys.readouterr().out
 
 
+@pytest.mark.slow("four runs")
 def test_a_run_that_is_killed_goes_on_and_its_history_is_that_of_an_undisturbed_one(campaign):
     text = FUZZ.format(80)
     assert campaign(text, "-j", "1", name="whole.toml")[0] == 0

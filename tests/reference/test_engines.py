@@ -84,6 +84,7 @@ def listening(pid):
     return {each.laddr.ip for one in family for each in one.net_connections("inet") if each.status == "LISTEN"}
 
 
+@pytest.mark.slow("starts clusters")
 def test_a_killed_worker_is_replaced_and_nothing_listens_beyond_loopback(jobs):
     with Cluster("dask", 2, jobs.what, "same") as cluster:
         assert listening(os.getpid()) == {"127.0.0.1"}
@@ -127,6 +128,7 @@ def scheduler(*, workers=1, **environment):
             process.wait()
 
 
+@pytest.mark.slow("starts clusters")
 def test_a_killed_scheduler_ends_the_run_with_what_is_finished(jobs, monkeypatch):
     monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 2.0)
     with scheduler() as (address, process), Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster:
@@ -177,6 +179,7 @@ def without_times(record):
 COUNTS = ("camera_rays", "decided_exactly", "shadow_rays", "shading", "aovs")
 
 
+@pytest.mark.slow("starts clusters")
 def test_bands_of_a_film_on_dask_are_the_same_bytes(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("caster.rendering.images.BAND_PIXELS", 64 * 70)
     words = ["render", str(ROOT / "scenes/every-shape.toml"), "--size", "70", "300", "--crop", "3", "5", "69", "290"]
@@ -202,6 +205,7 @@ def trace(scene, o, d):
 """
 
 
+@pytest.mark.slow("starts clusters")
 def test_dask_and_local_give_the_same_and_a_poisoned_scene_is_one_row(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MITSUBA_REF_STORE", "off")

@@ -40,12 +40,13 @@ def units(tmp_path, monkeypatch):
         (FUZZ.replace("[10, 40]", "40"), "rays must be a list, got 40"),
         (FUZZ + "[budget]\nseconds = -1", "budget: seconds must be > 0, got -1"),
         ("seeds = [0]", "needs the key 'job'"),
-        (FUZZ.replace("30", "2_000_000_000"), "expected a campaign of at most 200000 units"),
+        (FUZZ.replace("30", "2_000_000_000"), "expected a campaign of at most 99 units"),
         (2 * "[[subject]]\n" + FUZZ, "needs subjects of different names, got 'ours' twice"),
         ("[[job]\n", "campaign.toml:1:6: not valid TOML"),
     ],
 )
-def test_a_mistake_in_a_campaign_file_is_named_with_its_place(units, text, says):
+def test_a_mistake_in_a_campaign_file_is_named_with_its_place(units, monkeypatch, text, says):
+    monkeypatch.setattr(module, "MAX_UNITS", 99)
     with pytest.raises(SceneError) as error:
         units(text)
     assert says in str(error.value)

@@ -11,7 +11,7 @@ from caster.rendering.threads import core_count, thread_count
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
 from mitsuba_ref.runner import many_scenes, validation_run
-from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, run
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, engine_for, run
 from mitsuba_ref.runner.shards import Shard, scenes_of_shard
 
 SCENE = """[film]
@@ -51,7 +51,8 @@ def test_the_process_that_hands_out_scenes_loads_none(folder, monkeypatch):
     monkeypatch.setattr(many_scenes, "judge_entry", judge)
 
     sources = [SceneEntry(path.stem, str(path)) for path in sorted(folder.iterdir())]
-    found = list(run(sources, JudgeOptions(), 2))
+    with engine_for(sources, JudgeOptions(), workers=2) as engine:
+        found = list(run(sources, JudgeOptions(), engine))
     assert [verdict.name for verdict in found] == [f"s{i:02}" for i in range(30)]
 
 
@@ -75,7 +76,7 @@ def test_any_error_is_a_row_and_the_verdict_is_written(folder, tmp_path, monkeyp
 
     monkeypatch.setattr(many_scenes, "judge_loaded", judge)
     monkeypatch.setattr("mitsuba_ref.reference.variants.variant_for", lambda **_: "scalar_rgb")
-    monkeypatch.setattr(validation_run, "run_identity", lambda *_: {})
+    monkeypatch.setattr(validation_run, "run_identity", lambda *_: {"judged_with": {}})
     out = tmp_path / "verdict.json"
     assert mitsuba_ref.__main__.main(["validate", str(folder), "-j", "2", "--json", str(out)]) == code
     rows = {row["name"]: row for row in json.loads(out.read_text())["scenes"]}
@@ -98,5 +99,7 @@ def test_a_worker_casts_on_its_share_of_threads(folder, monkeypatch):
     monkeypatch.setattr(many_scenes, "judge_loaded", lambda *_: SceneVerdict("threads", str(thread_count(None))))
     source = SceneEntry("s00", str(folder / "s00.toml"))
     for threads in (1, 2):
-        assert [found.path for found in run([source], JudgeOptions(threads=threads), 1)] == [str(threads)]
+        options = JudgeOptions(threads=threads)
+        with engine_for([source], options, workers=1) as engine:
+            assert [found.path for found in run([source], options, engine)] == [str(threads)]
     assert thread_count(None) == core_count()
