@@ -23,6 +23,7 @@ def console():
 
 def essence(page):
     """The first three words of each line, without numbers and spaces: what Mitsuba answers differs between CPUs."""
+    page = re.sub(r"processor\s+\w+\s+family\s+\d+\s+model\s+\d+\s+\([^)]*\)", "processor", page)
     lines = [line for line in page.splitlines() if "mitsuba llvm" not in line]
     return [re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?|0x\S+", "#", line).split()[:3] for line in lines]
 
