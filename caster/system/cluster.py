@@ -75,11 +75,15 @@ class _Call(NamedTuple):
 
     def __call__(self) -> Outcome:
         """Run in the worker, which a call without an end kills."""
+        from distributed import get_worker
+
         found = self.identify()
         for name, value in self.expected.items():
             if found.get(name) != value:
                 where = f"a worker on {os.uname().nodename}"
                 return Outcome(error=ClusterError(f"{where}: its {name} is {found.get(name)}, expected {value}"))
+        if (threads := get_worker().state.nthreads) != 1:  # the working folder and the time limit are the process's
+            return Outcome(error=ClusterError(f"a worker has {threads} threads, expected one: --nthreads 1"))
         if self.seconds is not None:
             faulthandler.dump_traceback_later(self.seconds, exit=True, file=_NOWHERE)  # also in machine code
         try:
@@ -131,11 +135,13 @@ class Cluster:
                     n_workers=workers,
                     threads_per_worker=1,
                     host=LOOPBACK,
-                    dashboard_address=None,
+                    dashboard_address=f"{LOOPBACK}:0",  # None would take port 8787
                     silence_logs=logging.CRITICAL,
                 )
                 address = self._stack.enter_context(cluster).scheduler_address
             self.client = self._stack.enter_context(connect(address, timeout=CONNECT_SECONDS, set_as_default=False))
+            if engine != DASK:  # a worker of an earlier run has modules and programs of candidates as they were then
+                self.client.restart(timeout=CONNECT_SECONDS)
         except (OSError, ValueError, RuntimeError) as error:  # TimeoutError is an OSError
             self._stack.close()
             raise ClusterError(
@@ -179,8 +185,8 @@ class Cluster:
 
     def _has_room(self, sent: deque[_Sent], waiting: int) -> bool:
         unfinished = sum(each.outcome is None for each in sent)
-        workers = sum(each["nthreads"] for each in self.client.scheduler_info(n_workers=-1)["workers"].values())
-        return unfinished < CALLS_PER_WORKER * max(1, workers) and len(sent) - unfinished < waiting
+        workers = self.client.scheduler_info(n_workers=-1).get("workers", {})  # none while it is not connected
+        return unfinished < CALLS_PER_WORKER * max(1, len(workers)) and len(sent) - unfinished < waiting
 
     def _finished(self, sent: deque[_Sent]) -> Iterator[Outcome]:
         """Wait for a call to finish, then take outcomes from the left as far as there are any.

@@ -4,10 +4,13 @@ import json
 import os
 import secrets
 import shlex
+import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import cache
+from importlib.machinery import PathFinder
 from itertools import product, zip_longest
 from pathlib import Path
 from types import MappingProxyType
@@ -173,9 +176,13 @@ def _files_key(subject: Contender) -> str:
     files = set(subject.files)
     if FUNCTION_PATTERN.fullmatch(named):
         module = named.partition(":")[0].partition(".")[0]
-        files |= {str(each) for each in (*Path().glob(f"{module}.py"), *Path(module).rglob("*.py"))}
+        found = PathFinder.find_spec(module, [os.getcwd(), *sys.path])
+        folders = found.submodule_search_locations if found else None
+        files |= {str(each) for folder in folders or () for each in Path(folder).rglob("*.py")}
+        files |= {found.origin} if found and found.origin and os.path.isfile(found.origin) else set()
     else:
-        files |= {word for word in shlex.split(named) if os.path.isfile(word)}
+        program, *words = shlex.split(named) or [""]
+        files |= {word for word in (shutil.which(program) or program, *words) if os.path.isfile(word)}
     return key_of(part for file in sorted(files) for part in (file, read_input(file, "file of a candidate")))
 
 

@@ -102,7 +102,7 @@ class _OnDask:
                 self.processors |= {outcome.worker[PROCESSOR]} if outcome.worker else set()
                 try:
                     yield outcome if outcome.error else outcome._replace(result=then(outcome.result))
-                except OSError as error:  # of `then`, which writes files
+                except Exception as error:  # of `then`, which writes files
                     yield Outcome(error=error)
 
 

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Collection
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,9 +58,9 @@ def modules_for(scene: Scene) -> set[str]:
     """
     known = sources()
     kinds = {type(each).__module__ for each in (*scene.shapes, scene.camera)}
-    waiting = [*kinds, *(name for name in known if not name.startswith(OF_KINDS))]
+    waiting = [*kinds, *(name for name in known if name.endswith("__init__") or not name.startswith(OF_KINDS))]
     for name in (each for each in known if each.startswith(OF_KINDS[3:])):
-        described = {each for each in known[name].names if each.startswith(OF_KINDS[:2])}
+        described = {each for each in known[name].names if each in known and each.startswith(OF_KINDS[:2])}
         waiting += [name] if described & kinds or not described else []
     needed = set[str]()
     while waiting:
@@ -85,7 +86,8 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
 
     about: options. "" if that is not known: for a scene without a variant, and where other packages add kinds.
     """
-    if not all(kind.__module__.startswith("caster.") for kind in (*SHAPES, *CAMERAS)):
+    foreign = any(not kind.__module__.startswith("caster.") for kind in (*SHAPES, *CAMERAS))
+    if foreign or entry_points(group="mitsuba_ref.plugins"):
         return ""
     try:
         variant = variant_of(scene)

@@ -97,7 +97,7 @@ def test_a_killed_worker_is_replaced_and_nothing_listens_beyond_loopback(jobs):
 
 
 @contextmanager
-def scheduler(*, workers=1, **environment):
+def scheduler(*, workers=1, threads=1, **environment):
     """A scheduler and its workers as processes of their own."""
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
     file = Path("scheduler.json").resolve()
@@ -112,14 +112,11 @@ def scheduler(*, workers=1, **environment):
             "--scheduler-file",
             str(file),
             "--nthreads",
-            "1",
+            str(threads),
+            "--no-dashboard",
         ]
         for _ in range(workers):
-            processes.append(
-                subprocess.Popen(
-                    [*command, "--nthreads", "1", "--no-dashboard"], stderr=-3, env={**os.environ, **environment}
-                )
-            )
+            processes.append(subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, **environment}))
         yield json.loads(file.read_text())["address"], processes[0]
     finally:
         for process in reversed(processes):
@@ -151,6 +148,15 @@ def test_a_worker_that_differs_is_refused(jobs):
     assert touched() == []
 
 
+def test_workers_of_several_threads_are_refused(jobs):
+    with (
+        scheduler(threads=2) as (address, _),
+        Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster,
+        pytest.raises(ClusterError, match="a worker has 2 threads, expected one: --nthreads 1"),
+    ):
+        list(outcomes_of(cluster, jobs, [1]))
+
+
 def test_no_scheduler_at_the_address(monkeypatch, capsys):
     monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 0.5)
     assert main(["validate", "--builtin", "spheres", "--engine", "dask:tcp://127.0.0.1:9"]) == 2
@@ -176,6 +182,8 @@ def without_times(record):
     return [without_times(each) for each in record] if isinstance(record, list) else record
 
 
+HEAD = '[film]\nwidth = 24\nheight = 16\n[camera]\ntype = "pinhole"\neye = [0, 1, 5]\nlook_at = [0, 0, 0]\n'
+SPHERE = '[[shape]]\ntype = "sphere"\n'
 COUNTS = ("camera_rays", "decided_exactly", "shadow_rays", "shading", "aovs")
 
 
@@ -206,14 +214,24 @@ def trace(scene, o, d):
 
 
 @pytest.mark.slow("starts clusters")
+def test_a_cluster_that_goes_on_judges_the_candidate_of_today(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("one.toml").write_text(HEAD + SPHERE)
+    right = "from caster import cast\n\ndef trace(*rays):\n    hits = cast(*rays)\n    return hits.t{}, hits.normal\n"
+    with scheduler() as (address, _):
+        for change, code in (("", 0), (" * 1.5", 1), ("", 0)):
+            Path("mine.py").write_text(right.format(change))
+            words = ["validate", "one.toml", "--candidate", "mine:trace", "--engine", f"dask:{address}"]
+            assert main(words) == code
+
+
+@pytest.mark.slow("starts clusters")
 def test_dask_and_local_give_the_same_and_a_poisoned_scene_is_one_row(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MITSUBA_REF_STORE", "off")
-    sphere = '[[shape]]\ntype = "sphere"\n'
-    head = '[film]\nwidth = 24\nheight = 16\n[camera]\ntype = "pinhole"\neye = [0, 1, 5]\nlook_at = [0, 0, 0]\n'
     Path("scenes").mkdir()
     for name, shapes in {"a": 1, "b": 3, "poison": 2, "z": 1}.items():
-        Path(f"scenes/{name}.toml").write_text(head + sphere + "center = [1, 0, 0]\n" + sphere * (shapes - 1))
+        Path(f"scenes/{name}.toml").write_text(HEAD + SPHERE + "center = [1, 0, 0]\n" + SPHERE * (shapes - 1))
     for engine in ("local", "dask"):
         assert main(["validate", "scenes", "-j", "2", "--engine", engine, "--json", f"{engine}.json"]) == 0
         assert (

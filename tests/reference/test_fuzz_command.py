@@ -1,6 +1,8 @@
 """The command `mitsuba-ref fuzz`: coverage, stored findings and exit codes."""
 
 import json
+import os
+import signal
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +18,7 @@ from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli import fuzz as command
 from mitsuba_ref.fuzz import checks
+from mitsuba_ref.fuzz.campaign import Drawing
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.checks import compare_with_mitsuba, failure_mode
 from mitsuba_ref.fuzz.findings import Tally
@@ -233,6 +236,21 @@ def test_a_candidate_of_triangles_gets_scenes_of_triangles(fuzz, tmp_path, monke
 )
 def test_the_way_in_which_a_pixel_fails_is_what_shrinking_preserves(check, subject, exact, mode):
     assert failure_mode(Failure(0, 0, "wrong", check, 2.0, subject, "", exact, "")) == mode
+
+
+def test_an_example_that_ends_its_process_is_one_finding(fuzz, monkeypatch):
+    honest = Drawing.tried
+
+    def poisoned(drawing, number):
+        if number == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return honest(drawing, number)
+
+    monkeypatch.setattr(Drawing, "tried", poisoned)  # in the forks, too
+    code, *_, told = fuzz("--examples", "6", "--judge-every", "0")
+    assert code == 1 and told["total"]["examples"] == 6 and told["total"]["kinds"] == {"crash": 1}
+    (failure,) = told["failures"]
+    assert "--examples 2..2" in failure["example"] and "SIGKILL" in failure["what"]
 
 
 def test_a_candidate_that_declines_or_cannot_answer_is_no_pass(fuzz, tmp_path, monkeypatch):

@@ -90,6 +90,27 @@ def test_keys_change_with_code_settings_subject_and_scene(units, tmp_path, monke
     assert len({first, edited, other_scene, other_settings, key()}) == 5
 
 
+def test_keys_change_with_a_candidate_that_is_installed(units, tmp_path, monkeypatch):
+    text = '[[subject]]\nname = "mine"\n{}\n[[job]]\ntype = "fuzz"\nfamilies = ["edges"]\nexamples = 1\n'
+    for folder in ("library/deep", "bin"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "library/deep/__init__.py").touch()
+    monkeypatch.syspath_prepend(str(tmp_path / "library"))
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    named = {
+        "library/deep/inner.py": 'candidate = "deep.inner:trace"',
+        "bin/mine": 'candidate = "mine --fast"\nserve = true',
+    }
+    for file, candidate in named.items():
+        keys = set()
+        for content in ("one", "two"):
+            (tmp_path / file).write_text(content)
+            (tmp_path / file).chmod(0o755)
+            (unit,) = units(text.format(candidate))
+            keys.add(unit.key)
+        assert len(keys) == 2, file
+
+
 ABOUT = dict.fromkeys(("code", "git", "campaign"), "x") | {"machine": "{}"}
 
 
