@@ -141,7 +141,8 @@ class Cluster:
                 address = self._stack.enter_context(cluster).scheduler_address
             self.client = self._stack.enter_context(connect(address, timeout=CONNECT_SECONDS, set_as_default=False))
             if engine != DASK:  # a worker of an earlier run has modules and programs of candidates as they were then
-                self.client.restart(timeout=CONNECT_SECONDS)
+                old = [*self.client.scheduler_info(n_workers=-1)["workers"]]
+                self.client.restart_workers(old, timeout=CONNECT_SECONDS)
         except (OSError, ValueError, RuntimeError) as error:  # TimeoutError is an OSError
             self._stack.close()
             raise ClusterError(
