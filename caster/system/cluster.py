@@ -117,6 +117,8 @@ class Cluster:
         own = identify()
         self.expected = {name: own[name] for name in expected}
         address = engine.removeprefix(DASK).removeprefix(":")
+        if address.startswith("tls:") and not dask.config.get("distributed.comm.tls.ca-file", None):
+            raise ClusterError(f"--engine {engine}: expected Dask's settings of TLS, such as a ca-file; there are none")
         # A worker gets no call beyond the one that it runs, so that none is suspected of what another one did.
         settings = {
             "distributed.scheduler.allowed-failures": TRIES - 1,

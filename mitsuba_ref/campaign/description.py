@@ -17,6 +17,8 @@ from mitsuba_ref.subjects.subject import DEFAULT_SECONDS
 
 Size = tuple[Count, Count]  # width and height of a film, pixels
 Names = tuple[str, ...]
+Many = Annotated[Count, Field(le=10_000_000)]  # lists of so many numbers fit into memory
+Depth = Annotated[Index, Field(le=1000)]
 
 
 class Budget(Description):
@@ -41,7 +43,8 @@ class Contender(Description):
         if self.candidate is None:
             return ()
         precision = ("--candidate-precision", self.precision) if self.precision else ()
-        return ("--candidate-serve" if self.serve else "--candidate", self.candidate, *precision)
+        timeout = ("--candidate-timeout", f"{self.timeout:g}s") if self.timeout != DEFAULT_SECONDS else ()
+        return ("--candidate-serve" if self.serve else "--candidate", self.candidate, *precision, *timeout)
 
 
 class Job(Description):
@@ -65,7 +68,7 @@ class SceneJob(Job):
     type: Literal["scenes"] = "scenes"
     scenes: Names  # files, folders, builtin:NAME, and builtin:SET or builtin:all
     sizes: tuple[Size, ...] = ()  # of films; none: the scenes' own
-    bounces: Index = 0
+    bounces: Depth = 0
 
 
 class FilmJob(Job):
@@ -74,9 +77,9 @@ class FilmJob(Job):
     KNOWN = (FILMS.name, *(family.name for family in FAMILIES if family.fits_float32))
     type: Literal["films"] = "films"
     families: Names = (FILMS.name,)
-    scenes: Count  # of each family and seed
+    scenes: Many  # of each family and seed
     sizes: tuple[Size, ...] = ((224, 224),)
-    bounces: Index = 0
+    bounces: Depth = 0
 
 
 class FuzzJob(Job):
@@ -85,7 +88,7 @@ class FuzzJob(Job):
     KNOWN = tuple(BY_NAME)
     type: Literal["fuzz"] = "fuzz"
     families: Names = tuple(BY_NAME)
-    examples: Count  # of each family and seed
+    examples: Many  # of each family and seed
     rays: tuple[Count, ...] = (RAYS_PER_EXAMPLE,)  # of an example
     judge_every: Index = 16
 

@@ -92,7 +92,11 @@ def run(args: argparse.Namespace) -> int:
     variants.require_variants()
     if args.unit:
         return run_one(units, args.unit)
-    with History(args.history or file.with_suffix(HISTORY_SUFFIX), create=True) as history:
+    kept = Path(args.history or file.with_suffix(HISTORY_SUFFIX))
+    for option, path in (("--json", args.json), ("--html", args.html)):
+        if path and Path(path).resolve() == kept.resolve():
+            raise SceneError(f"{option} {path}: expected another file than the history, which it would replace")
+    with History(kept, create=True) as history:
         running = CampaignRun(history, args.file, campaign, text, units)
         out = _stream(args)
         found = f"{len(running.found)} in the history, {len(running.waiting)} to compute"

@@ -99,7 +99,9 @@ class Result(NamedTuple):
 def _word(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "x".join(map(str, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float) and float(short := f"{value:g}") == value:
+        return short
+    return str(value)
 
 
 # ---- the units of a campaign ----
@@ -121,7 +123,8 @@ def units_of(campaign: Campaign, folder: Path) -> list[Unit]:
             for subject in campaign.subjects:
                 about = json.dumps([job.type, subject.model_dump(mode="json"), parameters], sort_keys=True)
                 unit = Unit(job.type, subject, parameters, key_of([around, about, own[subject.name], inputs]))
-                found.setdefault(unit.name, unit)
+                if found.setdefault(unit.name, unit).key != unit.key:
+                    raise SceneError(f"two units are called '{unit.name}': put scenes of one name into one job")
         if len(found) > MAX_UNITS:
             raise SceneError(f"expected a campaign of at most {MAX_UNITS} units, got more: make its lists shorter")
     return list(found.values())
@@ -181,7 +184,10 @@ def _files_key(subject: Contender) -> str:
         files |= {str(each) for folder in folders or () for each in Path(folder).rglob("*.py")}
         files |= {found.origin} if found and found.origin and os.path.isfile(found.origin) else set()
     else:
-        program, *words = shlex.split(named) or [""]
+        try:
+            program, *words = shlex.split(named) or [""]
+        except ValueError as error:
+            raise SceneError(f"subject '{subject.name}': candidate {named!r}: {error}") from error
         files |= {word for word in (shutil.which(program) or program, *words) if os.path.isfile(word)}
     return key_of(part for file in sorted(files) for part in (file, read_input(file, "file of a candidate")))
 
@@ -344,8 +350,10 @@ def _run_stress(unit: Unit, subject: Subject | None) -> Result:
                 side, cause = (SUBJECT, "wrong") if mine else (REFERENCE, f"{caster.title}: {family.name}")
                 failures.append(Failure(side, cause, score.example, score.wrong_masks + score.beyond, replay, text))
     own = setting.witnesses[swept.casters[0].key]
+    rays = ("--rays", str(at["rays"])) if at["rays"] else ()
+    again = shlex.join(["mitsuba-ref", "stress", family.name, "--seed", str(at["seed"]), *rays, *words])
     if not swept.ok and not any(each.side == SUBJECT for each in failures):  # no answer, or nothing to judge
-        failures.append(Failure(SUBJECT, "not judged", swept.problems[0], 1, f"mitsuba-ref stress {family.name}"))
+        failures.append(Failure(SUBJECT, "not judged", swept.problems[0], 1, again))
     if not isinstance(own, sweeps.Score):
         return Result("", setting.rays, setting.exact.hits, 0, {}, tuple(failures))
     wrong = {"false hits": own.false_hits, "false misses": own.false_misses, "beyond": own.beyond}

@@ -189,3 +189,13 @@ def test_mistakes_have_their_exit_codes(campaign, capsys, words, code, says):
     Path("vacuous.toml").write_text('[[subject]]\nname = "mine"\ncandidate = "decline:trace"\n' + job)
     assert main(["campaign", *words]) == code
     assert says in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("option", ["--json", "--html"])
+def test_no_output_replaces_the_history(tmp_path, monkeypatch, capsys, option):
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text('[[job]]\ntype = "fuzz"\nfamilies = ["edges"]\nexamples = 1\n')
+    Path("c.history.sqlite").write_bytes(b"kept")
+    assert main(["campaign", "c.toml", option, "c.history.sqlite"]) == 2
+    assert Path("c.history.sqlite").read_bytes() == b"kept"
+    assert "expected another file than the history" in " ".join(capsys.readouterr().err.split())

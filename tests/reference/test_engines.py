@@ -163,6 +163,11 @@ def test_no_scheduler_at_the_address(monkeypatch, capsys):
     assert "--engine dask:tcp://127.0.0.1:9: no scheduler answers there" in " ".join(capsys.readouterr().err.split())
 
 
+def test_tls_without_its_settings(capsys):
+    assert main(["validate", "--builtin", "spheres", "--engine", "dask:tls://127.0.0.1:9"]) == 2
+    assert "expected Dask's settings of TLS" in " ".join(capsys.readouterr().err.split())
+
+
 def test_without_the_package(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["validate", "--builtin", "spheres", "--engine", "dask"]) == 2

@@ -40,9 +40,11 @@ def units(tmp_path, monkeypatch):
         (FUZZ.replace("[10, 40]", "40"), "rays must be a list, got 40"),
         (FUZZ + "[budget]\nseconds = -1", "budget: seconds must be > 0, got -1"),
         ("seeds = [0]", "needs the key 'job'"),
-        (FUZZ.replace("30", "2_000_000_000"), "expected a campaign of at most 99 units"),
+        (FUZZ.replace("30", "2_000_000"), "expected a campaign of at most 99 units"),
         (2 * "[[subject]]\n" + FUZZ, "needs subjects of different names, got 'ours' twice"),
         ("[[job]\n", "campaign.toml:1:6: not valid TOML"),
+        (FUZZ.replace("30", "2_000_000_000"), "campaign.toml:4:1: job[0] (fuzz): examples must be <= 10000000"),
+        ('[[subject]]\nname = "s"\ncandidate = "python \'broken"\n' + FUZZ, "subject 's': candidate"),
     ],
 )
 def test_a_mistake_in_a_campaign_file_is_named_with_its_place(units, monkeypatch, text, says):
@@ -88,6 +90,18 @@ def test_keys_change_with_code_settings_subject_and_scene(units, tmp_path, monke
     other_settings = key()
     monkeypatch.setattr(module, "worker_identity", lambda: {"source code": "of tomorrow"})
     assert len({first, edited, other_scene, other_settings, key()}) == 5
+
+
+def test_two_units_of_one_name_are_an_error_and_close_numbers_are_two_units(units, tmp_path):
+    scene = (module.builtin_scenes.ROOT / "triangles" / "scan.toml").read_text()
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "x.toml").write_text(f"# {folder}\n{scene}")
+    job = '[[job]]\ntype = "scenes"\nscenes = ["{}/x.toml"]\n'
+    with pytest.raises(SceneError, match="two units are called 'ours scenes scene=x bounce=0'"):
+        units(job.format("a") + job.format("b"))
+    close = "values = [1e-3, 1.0000001e-3]\n"
+    assert len(units(f'[[job]]\ntype = "stress"\nfamilies = ["sliver"]\n{close}')) == 2
 
 
 def test_keys_change_with_a_candidate_that_is_installed(units, tmp_path, monkeypatch):
