@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from caster.geometry.packing import packed
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.campaign import Example
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS
+from mitsuba_ref.fuzz.fuzz_run import Example
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_parts import shape_types

@@ -6,8 +6,8 @@ import pytest
 
 from caster.jit.kernel_cache import COMPILED
 from caster.scene.files import load_scene
-from mitsuba_ref.fuzz.campaign import Example, check_example
 from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.fuzz.fuzz_run import Example, check_example
 from mitsuba_ref.hard.random_families import RANDOM as FAMILIES
 from mitsuba_ref.report.validation import validate_scene
 

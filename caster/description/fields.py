@@ -115,7 +115,7 @@ class ArrayOf:
         return array.view(FixedArray)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        items = handler.generate_schema(Annotated[list[self.item], FailFast(), Field(min_length=1)])  # type: ignore[name-defined]
+        items = handler.generate_schema(Annotated[list[self.item], FailFast(), Field(min_length=1)])  # type: ignore[name-defined]  # a value
         as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
         return core_schema.no_info_wrap_validator_function(self._read, items, serialization=as_list)
 

@@ -43,7 +43,19 @@ from caster.scene.export import canonical_json, fingerprint, to_toml
 from caster.scene.textures import AnyReflectance, Texture
 from caster.shapes import SHAPES
 
-__all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Glass", "Material", "Mirror", "Point", "Scene"]
+__all__ = [
+    "MAX_FILM_SIDE",
+    "Ambient",
+    "Check",
+    "Diffuse",
+    "Film",
+    "Glass",
+    "Material",
+    "Mirror",
+    "Pixels",
+    "Point",
+    "Scene",
+]
 
 # ---- lights and materials ----
 

@@ -10,6 +10,7 @@ import faulthandler
 import logging
 import os
 import pickle
+import signal
 import threading
 import time
 import traceback
@@ -19,12 +20,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
+from caster.system.atomic_files import ScratchFolder
 from caster.system.process import interrupted
 
 __all__ = ["DASK", "CallEnded", "Cluster", "ClusterError", "Outcome"]
 
 DASK = "dask"  # the engine; "dask:ADDRESS" is a cluster that runs there
-TRIES = 2  # of a call whose worker ends: the first end may have had a reason outside of it, such as too little memory
+# Of a call whose worker ends: the first end may have had a reason outside of it, such as too little memory. A cluster
+# that runs already has its own number: one more than the `allowed-failures` of its scheduler, which are 3 by default.
+TRIES = 2
+CLOSE_SECONDS = 1.0  # for workers to end before they are killed
 CALLS_PER_WORKER = 3  # submitted and not finished: one runs, the others hide the time of a message
 WAITING_RESULTS = 64  # finished calls that wait for an earlier one
 CONNECT_SECONDS = 20.0  # for a scheduler to answer, and to answer again
@@ -99,6 +104,29 @@ class _Call(NamedTuple):
 _NOWHERE = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)  # for the traceback: workers have the terminal of the run
 
 
+@contextlib.contextmanager
+def _sigint_ignored() -> Iterator[None]:
+    """Processes that the body starts inherit that they ignore SIGINT; only the main thread may change signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _closed(cluster: Any) -> None:
+    """End a cluster of this process; a worker in the middle of a call is killed."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if interrupted.is_set() and nanny.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
+    cluster.close(timeout=CLOSE_SECONDS)
+
+
 class Cluster:
     """A connection to a cluster. Use it as a context."""
 
@@ -119,28 +147,31 @@ class Cluster:
         address = engine.removeprefix(DASK).removeprefix(":")
         if address.startswith("tls:") and not dask.config.get("distributed.comm.tls.ca-file", None):
             raise ClusterError(f"--engine {engine}: expected Dask's settings of TLS, such as a ca-file; there are none")
+        self._stack = contextlib.ExitStack()
         # A worker gets no call beyond the one that it runs, so that none is suspected of what another one did.
         settings = {
             "distributed.scheduler.allowed-failures": TRIES - 1,
             "distributed.scheduler.worker-saturation": 1.0,
             "distributed.comm.timeouts.connect": f"{CONNECT_SECONDS:g}s",
             "distributed.worker.daemon": False,  # a candidate may start processes
+            "temporary-directory": self._stack.enter_context(ScratchFolder()),
         }
         self._ended = threading.Event()  # set at the end of each call
-        self._stack = contextlib.ExitStack()
         self._stack.enter_context(dask.config.set(settings))
         try:
             start: Any = distributed.LocalCluster
             connect: Any = distributed.Client
             if not address:
-                cluster = start(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    host=LOOPBACK,
-                    dashboard_address=f"{LOOPBACK}:0",  # None would take port 8787
-                    silence_logs=logging.CRITICAL,
-                )
-                address = self._stack.enter_context(cluster).scheduler_address
+                with _sigint_ignored():  # by the workers, which the run ends after Ctrl-C in the terminal
+                    cluster = start(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        host=LOOPBACK,
+                        dashboard_address=f"{LOOPBACK}:0",  # None would take port 8787
+                        silence_logs=logging.CRITICAL,
+                    )
+                self._stack.callback(_closed, cluster)
+                address = cluster.scheduler_address
             self.client = self._stack.enter_context(connect(address, timeout=CONNECT_SECONDS, set_as_default=False))
             if engine != DASK:  # a worker of an earlier run has modules and programs of candidates as they were then
                 old = [*self.client.scheduler_info(n_workers=-1)["workers"]]
@@ -221,12 +252,10 @@ class Cluster:
         try:
             outcome: Outcome = future.result()
         except KilledWorker:
-            return Outcome(error=CallEnded(f"its process ended, or ran out of time, {TRIES} times"))
+            return Outcome(error=CallEnded("a crash or the time limit, each time it was tried"))
         except Exception as error:  # of Dask itself, such as a result without a pickle
             if future.cancelled():
-                raise ClusterError(
-                    f"--engine {self.engine}: the scheduler is gone; what is finished is kept"
-                ) from error
+                raise self._lost() from error
             return Outcome(error=error)
         if isinstance(outcome.error, ClusterError):
             raise outcome.error

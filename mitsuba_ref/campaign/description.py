@@ -9,13 +9,14 @@ from caster.description.errors import SceneError, diagnostics_of, suggestion
 from caster.description.fields import Count, Description, Index, Positive
 from caster.description.input_files import read_text
 from caster.description.parsing import Positions, located_error, parse
-from mitsuba_ref.fuzz.campaign import RAYS_PER_EXAMPLE
+from caster.scene.model import Pixels
+from mitsuba_ref.fuzz.fuzz_run import RAYS_PER_EXAMPLE
 from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.random_families import FILMS
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.subjects.subject import DEFAULT_SECONDS
 
-Size = tuple[Count, Count]  # width and height of a film, pixels
+Size = tuple[Pixels, Pixels]  # width and height of a film, pixels
 Names = tuple[str, ...]
 Many = Annotated[Count, Field(le=10_000_000)]  # lists of so many numbers fit into memory
 Depth = Annotated[Index, Field(le=1000)]

@@ -120,12 +120,14 @@ def report_of(history: History) -> CampaignReport:
 
 
 def _summary(history: History, row: dict[str, Any]) -> RunSummary:
-    units = history.units(row["id"])
-    sums = (sum(each[name] for each in units) for name in ("rays", "hits", "agree"))
-    computed = sum(each["computed_by"] == row["id"] for each in units)
-    failing = sum(each["failing"] > 0 for each in units)
+    (sums,) = history.rows(
+        "SELECT count(*) AS units, total(computed_by = run) AS computed, total(failing > 0) AS failing, "
+        "total(rays) AS rays, total(hits) AS hits, total(agree) AS agree "
+        "FROM run_units JOIN units USING (key) WHERE run = ?",
+        row["id"],
+    )
     about = (row["id"], row["state"], row["started"], row["git"], row["code"], json.loads(row["machine"]), row["units"])
-    return RunSummary(*about, len(units), computed, failing, *sums)
+    return RunSummary(*about, *map(int, sums.values()))
 
 
 def _failures(history: History, units: Iterable[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:

@@ -46,6 +46,7 @@ class CampaignRun:
 
         def record(result: Result) -> Result:
             self.history.record(self.number, of_key[result.key], result)
+            self.computed += 1
             return result
 
         try:
@@ -63,7 +64,7 @@ class CampaignRun:
                     result = outcome.result
                     if outcome.error:
                         result = record(ended(unit, outcome.error, self.file))
-                    rays, self.computed = rays + result.rays, self.computed + 1
+                    rays += result.rays
                     yield result
             state = COMPLETE
         finally:
@@ -91,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
         return report_error(f"{file}: nothing selected: an empty list leaves no unit", NOTHING_SELECTED)
     variants.require_variants()
     if args.unit:
+        for name in (each for each in ("json", "html", "history", "strict") if getattr(args, each)):
+            raise SceneError(f"--{name}: not together with --unit, which leaves the history alone")
         return run_one(units, args.unit)
     kept = Path(args.history or file.with_suffix(HISTORY_SUFFIX))
     for option, path in (("--json", args.json), ("--html", args.html)):
@@ -110,7 +113,8 @@ def run(args: argparse.Namespace) -> int:
                     bar.add(1, result.key)
         finally:  # whatever ends the work, what is finished is kept
             print_lines(f"computed {running.computed}, {len(running.waiting) - running.computed} left", out)
-            code = show(history, args)
+            if not isinstance(sys.exc_info()[1], SceneError):  # a mistake, whose message comes last
+                code = show(history, args)
     return code
 
 

@@ -25,9 +25,9 @@ from caster.rendering.threads import set_default_threads
 from caster.system.atomic_files import ScratchFolder
 from caster.system.cluster import CallEnded
 from mitsuba_ref.campaign.description import AnyJob, Campaign, Contender, FilmJob, FuzzJob, SceneJob
-from mitsuba_ref.fuzz.campaign import Drawing, Example
 from mitsuba_ref.fuzz.checks import answered_types
 from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.fuzz.fuzz_run import Drawing, Example
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_families import FILMS
@@ -159,7 +159,7 @@ def _places(word: str, folder: Path) -> list[str]:
     """Files and folders by a word of a campaign file."""
     name = word.removeprefix(builtin_scenes.PREFIX)
     if name == word:
-        return [os.path.normpath(folder / word)]
+        return [os.path.abspath(folder / word)]  # so that keys and replays hold in every folder
     if name in (*builtin_scenes.SETS, builtin_scenes.ALL_SETS):
         return builtin_scenes.folders_of(name)
     return [builtin_scenes.scene_path(word)]

@@ -9,10 +9,10 @@ from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 from mitsuba_ref.fuzz import findings
-from mitsuba_ref.fuzz.campaign import Campaign, Drawing
 from mitsuba_ref.fuzz.cases import kept_files, read_kept
 from mitsuba_ref.fuzz.checks import find
 from mitsuba_ref.fuzz.findings import replay_text
+from mitsuba_ref.fuzz.fuzz_run import Drawing, FuzzRun
 from mitsuba_ref.hard import FAMILIES
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report.results import write_result
@@ -22,10 +22,10 @@ DEFAULT_SECONDS = 60.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a campaign; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
+    """Fuzz; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
-    campaign = campaign_of(args)
+    running = fuzz_run_of(args)
     if args.examples is not None and not len(args.examples):
         print("nothing selected: --examples 0 selects no example", file=sys.stderr)
         return NOTHING_SELECTED
@@ -33,26 +33,26 @@ def run(args: argparse.Namespace) -> int:
         variants.require_variants()  # a wrong choice of variant fails before any work
     line = StatusLine()
     try:
-        for done in campaign.run():
+        for done in running.run():
             total = done.total
             line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {done.seconds:.0f} s")
     finally:  # what is found is kept, whatever ends the work
         line.erase()
-        print(findings.text(campaign.outcome), file=options.table_stream(args))
+        print(findings.text(running.outcome), file=options.table_stream(args))
         if args.json:
-            write_result(campaign.outcome, args.json)
-    return OK if campaign.outcome.ok else DIFFERENCES
+            write_result(running.outcome, args.json)
+    return OK if running.outcome.ok else DIFFERENCES
 
 
-def campaign_of(args: argparse.Namespace) -> Campaign:
-    """The campaign that the options ask for. Raises SceneError for an unknown family or candidate."""
+def fuzz_run_of(args: argparse.Namespace) -> FuzzRun:
+    """The run that the options ask for. Raises SceneError for an unknown family or candidate."""
     families = options.select(FAMILIES, "family", args.family, None) if args.family else FAMILIES
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples = itertools.count() if args.examples is None else args.examples
     names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
     drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
     about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
-    return Campaign(drawing, examples, limit, *about)
+    return FuzzRun(drawing, examples, limit, *about)
 
 
 def replay(args: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 
 from mitsuba_ref.oracle.interface import ExactKind
 
-Array = np.ndarray
+Array = np.ndarray  # shape and dtype are in the comment or docstring beside it
 
 # Decorators of functions in which infinite numbers are answers like others, which comparisons sort out.
 without_float_warnings = np.errstate(all="ignore")  # where a NaN is an answer: of a miss, or of no answer

@@ -9,7 +9,8 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from caster.rendering.threads import core_count
 from caster.system import process
@@ -27,8 +28,15 @@ INTERRUPTED_SECONDS = 1.5  # given to calls in progress to end after an interrup
 CALLS_AHEAD = 32  # of each worker, begun, waiting, or finished before an earlier one
 
 
-class Engine(Protocol):
-    """What runs calls."""
+@dataclass
+class Engine:
+    """What runs calls: a cluster, else forks of this process, else its own threads."""
+
+    workers: int  # calls at a time on this machine
+    seconds: float  # time limit of a call
+    pool: Workers | None = None
+    cluster: Cluster | None = None
+    processors: frozenset[str] = frozenset()  # of the machines that ran calls
 
     def map(
         self,
@@ -40,10 +48,26 @@ class Engine(Protocol):
 
         then: makes the result in this process from what the function returned, as soon as it has.
         """
+        if self.cluster:
+            with closing(self.cluster.map(function, calls, self.seconds)) as outcomes:
+                for outcome in outcomes:
+                    self.processors |= {outcome.worker[PROCESSOR]} if outcome.worker else set()
+                    yield outcome if outcome.error else _outcome_of(then, (outcome.result,))
+            return
+        self.processors = frozenset({machine()[PROCESSOR]})
+        pool = self.pool
 
-    @property
-    def processors(self) -> frozenset[str]:
-        """Of the machines that ran calls."""
+        def work(args: tuple[Any, ...]) -> Outcome:
+            return _outcome_of(lambda *given: then(pool.call(function, *given) if pool else function(*given)), args)
+
+        yield from map_in_order(work, calls, self.workers, pool.stop if pool else lambda: None)
+
+
+def _outcome_of(function: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+    try:
+        return Outcome(function(*args))
+    except Exception as error:
+        return Outcome(error=error)
 
 
 @contextlib.contextmanager
@@ -54,56 +78,12 @@ def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True
     that need this process, such as those of a Python function that is no module's.
     """
     count = workers or core_count()
-    if name == LOCAL:
-        with Workers(seconds) if forks else contextlib.nullcontext() as pool:
-            yield _Local(pool, count)
-    else:
+    if name != LOCAL:
         with Cluster(name, count, worker_identity, *SAME_EVERYWHERE) as cluster:
-            yield _OnDask(cluster, seconds)
-
-
-class _Local:
-    """Forks of this process, or its own threads."""
-
-    def __init__(self, pool: Workers | None, workers: int) -> None:
-        self.pool, self.workers = pool, workers
-        self.processors = frozenset({machine()[PROCESSOR]})
-
-    def map(
-        self,
-        function: Callable[..., Any],
-        calls: Iterable[tuple[Any, ...]],
-        then: Callable[[Any], Any] = lambda result: result,
-    ) -> Generator[Outcome, None, None]:
-        def work(args: tuple[Any, ...]) -> Outcome:
-            try:
-                return Outcome(then(self.pool.call(function, *args) if self.pool else function(*args)))
-            except Exception as error:
-                return Outcome(error=error)
-
-        return map_in_order(work, calls, self.workers, self.pool.stop if self.pool else lambda: None)
-
-
-class _OnDask:
-    """A Dask cluster."""
-
-    def __init__(self, cluster: Cluster, seconds: float) -> None:
-        self.cluster, self.seconds = cluster, seconds
-        self.processors = frozenset[str]()
-
-    def map(
-        self,
-        function: Callable[..., Any],
-        calls: Iterable[tuple[Any, ...]],
-        then: Callable[[Any], Any] = lambda result: result,
-    ) -> Generator[Outcome, None, None]:
-        with closing(self.cluster.map(function, calls, self.seconds)) as outcomes:
-            for outcome in outcomes:
-                self.processors |= {outcome.worker[PROCESSOR]} if outcome.worker else set()
-                try:
-                    yield outcome if outcome.error else outcome._replace(result=then(outcome.result))
-                except Exception as error:  # of `then`, which writes files
-                    yield Outcome(error=error)
+            yield Engine(count, seconds, cluster=cluster)
+        return
+    with Workers(seconds) if forks else contextlib.nullcontext() as pool:
+        yield Engine(count, seconds, pool)
 
 
 SOURCES, SETTINGS = "source code", "environment"

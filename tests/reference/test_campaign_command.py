@@ -199,3 +199,16 @@ def test_no_output_replaces_the_history(tmp_path, monkeypatch, capsys, option):
     assert main(["campaign", "c.toml", option, "c.history.sqlite"]) == 2
     assert Path("c.history.sqlite").read_bytes() == b"kept"
     assert "expected another file than the history" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_mistake_is_told_last_and_unit_stands_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    job = '[[job]]\ntype = "fuzz"\nfamilies = ["edges"]\nexamples = 1\n'
+    Path("c.toml").write_text(f'[[subject]]\nname = "s"\ncandidate = "nowhere:trace"\n{job}')
+    assert main(["campaign", "c.toml", "-j", "1", "--json", "told"]) == 2
+    told = capsys.readouterr()
+    assert "nothing judged" not in told.err and "there is no module nowhere" in told.err
+    assert "run 1" not in told.out and not Path("told").exists()
+    Path("d.toml").write_text(job)
+    assert main(["campaign", "d.toml", "--unit", "x", "--json", "told"]) == 2
+    assert "--json: not together with --unit" in " ".join(capsys.readouterr().err.split())

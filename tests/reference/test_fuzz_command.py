@@ -18,10 +18,10 @@ from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli import fuzz as command
 from mitsuba_ref.fuzz import checks
-from mitsuba_ref.fuzz.campaign import Drawing
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.checks import compare_with_mitsuba, failure_mode
 from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.fuzz.fuzz_run import Drawing
 from mitsuba_ref.hard import FAMILIES
 from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.verdict import Failure
@@ -259,7 +259,7 @@ def test_a_candidate_that_declines_or_cannot_answer_is_no_pass(fuzz, tmp_path, m
         "def raises(scene, o, d):\n    return 1 / 0\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("mitsuba_ref.fuzz.campaign.MITSUBA_SHRINK_ATTEMPTS", 2)
+    monkeypatch.setattr("mitsuba_ref.fuzz.fuzz_run.MITSUBA_SHRINK_ATTEMPTS", 2)
     code, out, _, told = fuzz("--examples", "2", "--candidate", "no_caster:declines")
     assert code == 1 and "FAIL  nothing was judged: no_caster:declines declined every scene" in out
     assert told["total"]["declined"] >= 3 and not told["ok"]

@@ -43,6 +43,7 @@ def units(tmp_path, monkeypatch):
         (FUZZ.replace("30", "2_000_000"), "expected a campaign of at most 99 units"),
         (2 * "[[subject]]\n" + FUZZ, "needs subjects of different names, got 'ours' twice"),
         ("[[job]\n", "campaign.toml:1:6: not valid TOML"),
+        ('[[job]]\ntype = "films"\nscenes = 1\nsizes = [[70000, 9]]\n', "sizes[0][0] must be <= 65536"),
         (FUZZ.replace("30", "2_000_000_000"), "campaign.toml:4:1: job[0] (fuzz): examples must be <= 10000000"),
         ('[[subject]]\nname = "s"\ncandidate = "python \'broken"\n' + FUZZ, "subject 's': candidate"),
     ],
@@ -92,7 +93,7 @@ def test_keys_change_with_code_settings_subject_and_scene(units, tmp_path, monke
     assert len({first, edited, other_scene, other_settings, key()}) == 5
 
 
-def test_two_units_of_one_name_are_an_error_and_close_numbers_are_two_units(units, tmp_path):
+def test_units_by_name_number_and_working_folder(units, tmp_path, monkeypatch):
     scene = (module.builtin_scenes.ROOT / "triangles" / "scan.toml").read_text()
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
@@ -101,6 +102,9 @@ def test_two_units_of_one_name_are_an_error_and_close_numbers_are_two_units(unit
     with pytest.raises(SceneError, match="two units are called 'ours scenes scene=x bounce=0'"):
         units(job.format("a") + job.format("b"))
     close = "values = [1e-3, 1.0000001e-3]\n"
+    (unit,) = units(job.format("a"))
+    monkeypatch.chdir(tmp_path / "b")
+    assert units_of(read_campaign("../campaign.toml")[0], Path("..")) == [unit]  # in every working folder
     assert len(units(f'[[job]]\ntype = "stress"\nfamilies = ["sliver"]\n{close}')) == 2
 
 

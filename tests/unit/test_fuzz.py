@@ -13,10 +13,10 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.fuzz import cases, checks
-from mitsuba_ref.fuzz.campaign import Example, check_example
 from mitsuba_ref.fuzz.cases import case_of, ray_of, scene_data
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, adjudicate, check_image, check_rays, check_surfaces
 from mitsuba_ref.fuzz.findings import Finding, Tally, first_of_each_kind
+from mitsuba_ref.fuzz.fuzz_run import Example, check_example
 from mitsuba_ref.fuzz.shrink import Shrinker, complexity, primitive_shapes, simpler_numbers, walk
 from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.family import scene_of

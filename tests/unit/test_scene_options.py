@@ -8,7 +8,7 @@ from scene_options import aspects, demanded, demanded_aspects, exercised
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.campaign import Example
+from mitsuba_ref.fuzz.fuzz_run import Example
 from mitsuba_ref.hard import FAMILIES
 
 # Examples of each family, from the first of seed 0 on. Of `options` as many as `mitsuba-ref fuzz` checks within some

@@ -1,4 +1,4 @@
-"""Campaigns: random examples until the time or their number is used up. Failing scenes are shrunk and kept."""
+"""Runs of `fuzz`: random examples until the time or their number is used up. Failing scenes are shrunk and kept."""
 
 import itertools
 import shlex
@@ -68,7 +68,7 @@ class Example:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What all examples of a campaign have in common; each is tried by itself, in any process."""
+    """What all examples of a run have in common; each is tried by itself, in any process."""
 
     seed: int = 0
     families: tuple[str, ...] = tuple(family.name for family in FAMILIES)
@@ -107,7 +107,7 @@ def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[tuple[Tally, 
 
 
 @dataclass
-class Campaign:
+class FuzzRun:
     """Tries many examples. `outcome` is complete at any moment: an interruption loses nothing."""
 
     drawing: Drawing
