@@ -59,7 +59,7 @@ class Job(Description):
         for name in names:
             if name not in cls.KNOWN:
                 hint = suggestion(name, cls.KNOWN)
-                raise ValueError(f"unknown family '{name}'{hint} (known: {', '.join(cls.KNOWN)})")
+                raise ValueError(f"may not name '{name}'{hint} (known: {', '.join(cls.KNOWN)})")
         return names
 
 

@@ -34,7 +34,7 @@ def units(tmp_path, monkeypatch):
     [
         ("sed = [1]\n" + FUZZ, "campaign.toml:1:1: campaign: sed is an unknown key, did you mean 'seeds'?"),
         (FUZZ + "example = 3", "campaign.toml:6:1: job[0] (fuzz): example is an unknown key, did you mean 'examples'?"),
-        (FUZZ.replace("edges", "edge"), "unknown family 'edge', did you mean 'edges'?"),
+        (FUZZ.replace("edges", "edge"), "families may not name 'edge', did you mean 'edges'?"),
         (FUZZ.replace("fuzz", "fuz"), "unknown job type \"fuz\", did you mean 'fuzz'?"),
         (FUZZ.replace("30", "0"), "examples must be > 0, got 0"),
         (FUZZ.replace("[10, 40]", "40"), "rays must be a list, got 40"),
