@@ -1,11 +1,12 @@
 """Films whose bands are rendered by the workers of a Dask cluster."""
 
 import hashlib
-import importlib.metadata
 import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +22,6 @@ from caster.system.cluster import Cluster
 __all__ = ["bands_on"]
 
 LIBRARIES = ("numpy", "numba", "llvmlite")  # that results depend on
-
-
 WAITING_BANDS = 4  # of some 100 MB
 
 
@@ -81,5 +80,5 @@ def identity() -> Mapping[str, str]:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).resolve().parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
-    versions = {name: importlib.metadata.version(name) for name in LIBRARIES}
+    versions = {name: version(name) if find_spec(name) else "none" for name in LIBRARIES}  # Numba may be missing
     return {"source code": digest.hexdigest(), "python": platform.python_version(), **versions}

@@ -42,7 +42,7 @@ class CampaignRun:
     def work(self, engine: str, workers: int | None) -> Generator[Result, None, None]:
         """The result of each waiting unit, in their order. Raises SceneError for a subject that cannot be used."""
         state, start, of_key = INTERRUPTED, time.monotonic(), {unit.key: unit for unit in self.waiting}
-        rays = sum(row["rays"] for row in self.history.units(self.number))
+        rays = sum(row["rays"] for row in self.history.units(self.number))  # of an earlier call
 
         def record(result: Result) -> Result:
             self.history.record(self.number, of_key[result.key], result)
