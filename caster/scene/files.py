@@ -11,18 +11,15 @@ import numpy as np
 from pydantic import ValidationError
 
 from caster.cameras.pinhole import Pinhole
-from caster.description.errors import Diagnostic, SceneError, child_of, diagnostics_of
+from caster.description.errors import Diagnostic, SceneError, diagnostics_of
 from caster.description.input_files import read_text
 from caster.description.parsing import Positions, located_error, parse
-from caster.description.registry import type_name
 from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
-from caster.geometry.world_space import TriangleShape
 from caster.scene.model import Ambient, Diffuse, Directional, Scene
-from caster.shapes import SHAPES
 from caster.shapes.mesh import Mesh
 
-__all__ = ["load_scene", "mesh_scene", "types_in_file", "validated"]
+__all__ = ["load_scene", "mesh_scene", "validated"]
 
 
 def validated(data: Any, folders: MeshFolders) -> tuple[Scene | None, list[Diagnostic]]:
@@ -54,28 +51,6 @@ def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str
             f"or a mesh: {', '.join(MESH_SUFFIXES)}"
         )
     return scene_from_text(read_text(where), suffix[1:], where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
-
-
-def _unchecked(path: str | PathLike[str]) -> dict[str, Any]:
-    """The data of a scene file as it is written; empty if it cannot be parsed."""
-    suffix = Path(path).suffix.lower()
-    if suffix in MESH_SUFFIXES:
-        return {"shape": [{"type": "mesh"}], "camera": {"type": "pinhole"}}
-    try:
-        data = parse(read_text(path), suffix[1:], "")
-    except (SceneError, MemoryError, RecursionError):
-        return {}
-    return data if isinstance(data, dict) else {}
-
-
-def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
-    """Types of shapes and camera in a scene file, and "triangles" for shapes made of them; empty if it is not valid."""
-    data = _unchecked(path)
-    shapes = data.get("shape") or data.get("shapes")
-    named = [data.get("camera"), *(shapes if isinstance(shapes, list) else ())]
-    types = {kind for kind in (child_of(each, "type") for each in named) if isinstance(kind, str)}
-    meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, TriangleShape)}
-    return frozenset(types | {"triangles"} if types & meshes else types)
 
 
 # The scene of a mesh file: the direction from the mesh to the camera (y up), the field of view in degrees, and a factor

@@ -132,14 +132,7 @@ def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> N
         const="all",
         choices=(*builtin_scenes.SETS, builtin_scenes.ALL_SETS),
     )
-    add(
-        "-k",
-        str,
-        "scenes whose name fits, such as 'mesh and not teapot'; type:mesh is true of those with such a shape or "
-        "camera, type:triangles of those with any made of triangles",
-        metavar="EXPRESSION",
-        dest="expression",
-    )
+    add("-k", str, "scenes whose name fits, such as 'mesh and not teapot'", metavar="EXPRESSION", dest="expression")
     add("--size", int, "film in pixels, instead of the scenes' own", nargs=2, metavar=("W", "H"))
     add_mesh_dirs(group)
     if workers:

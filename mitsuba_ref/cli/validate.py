@@ -11,7 +11,6 @@ from pathlib import Path
 
 from caster.cli.shared_arguments import display_names, scene_files
 from caster.description.errors import FileMissing, SceneError, error_prefix
-from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE, report_error
@@ -67,13 +66,13 @@ BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the pro
 
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
-    fits = matching(args.expression, types_in_file)
+    fits = matching(args.expression)
     again = (*given_words(args, "mesh_dir", *OPENING_OPTIONS, *REFERENCE_OPTIONS), *candidate_words(args))
     opening = opening_of(args)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_scenes.folders_of(args.builtin), *named]
     try:
-        files = [file for file in scene_files(places) if fits(file)]
+        files = [file for file in scene_files(places) if fits(Path(file).stem)]
     except FileMissing:
         if args.scenes is not DEFAULT_SCENES:
             raise

@@ -26,7 +26,7 @@ FAILING = (WRONG, UNDECIDED)
 BIAS_OF_T, BIAS_OF_POSITION = "t", "position"
 UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
-VERDICT_FORMAT = 5  # of verdict.json: raised when a name in it changes its meaning or goes away
+VERDICT_FORMAT = 6  # of verdict.json: raised when a name in it changes its meaning or goes away
 MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 
 
@@ -131,14 +131,6 @@ class Finding:
 
 
 @dataclass(frozen=True, config=RESULT)
-class FileRecord:
-    """A file written beside the verdict."""
-
-    bytes: int
-    sha256: str
-
-
-@dataclass(frozen=True, config=RESULT)
 class SceneVerdict:
     """The verdict of one scene."""
 
@@ -167,8 +159,7 @@ class SceneVerdict:
     not_stored: int = 0  # pixels without a reproducer, since enough of their kind have one
     failing_by: dict[str, int] = field(default_factory=dict)  # pixels that fail, by each check they fail
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them
-    inputs: str = ""  # a hash of everything that the verdict depends on, if it was computed
-    files: dict[str, FileRecord] = field(default_factory=dict)  # written beside it
+    files: tuple[str, ...] = ()  # written beside it
     kept: bool = False  # reused from an earlier run of the same inputs
     candidate: str = ""  # the candidate that was judged in place of our caster, as named; "" for ours
     thorough: bool = False  # with the checks of our caster beyond the judged film

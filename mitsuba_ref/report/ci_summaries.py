@@ -2,24 +2,18 @@
 
 import os
 import re
-from collections.abc import Sequence
-from itertools import accumulate
 from pathlib import Path, PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from caster.system.atomic_files import append_text
-from caster.system.terminal import printable
+from caster.system.terminal import folded, printable
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
-from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
-    COLUMNS,
     WAIVER_WORDS,
-    failing_scenes,
     failure_text,
-    group_lines,
+    failures_text,
     outcome_text,
-    row_cells,
-    summary_lines,
+    summary_text,
     table_head,
     table_row,
 )
@@ -29,10 +23,7 @@ from mitsuba_ref.scene_xml.elements import XmlElement
 
 # GitHub drops the whole summary of a step that is larger: https://docs.github.com/actions, "step isolation and limits".
 SUMMARY_LIMIT_BYTES = 1024 * 1024
-
-RESERVED_BYTES = 2048  # of it, for the list of omissions and the closing tags
-
-PLAIN = re.compile(r"[A-Za-z0-9 .,:/()=+-]")  # characters without a meaning in Markdown, within a line
+CUT = "\n... cut off, for the size that a summary may have; verdict.json has all"
 
 
 def append(path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> None:
@@ -45,70 +36,19 @@ def append(path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit
 
 
 def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> str:
-    """The verdict, failing scenes with their worst pixel and replay first; at most `limit` bytes of UTF-8."""
-    failing = failing_scenes(verdict.scenes)
-    passing = [scene for scene in verdict.scenes if scene.ok]
-    failing_head, passing_head = _table_head("failure", "replay"), _table_head()
-    not_judged_head = f"Not judged, {len(verdict.not_judged)} scenes:\n\n"
-    folded = f"<details><summary>{len(passing)} scenes pass</summary>\n\n"
-    sections = [  # what it lists, the text before, the items, and the text after
-        ("failing scenes", failing_head, map(_failing_row, failing), "\n"),
-        ("scenes not judged", not_judged_head, (f"- {escaped(name)}\n" for name in verdict.not_judged), "\n"),
-        ("scenes that pass", folded + passing_head, (_table_row(_cells(scene)) for scene in passing), "\n</details>\n"),
-    ]
-    text, left_out = _head(verdict, seconds), []
-    for what, before, items, after in sections:
-        wanted = list(items)
-        room = limit - RESERVED_BYTES - utf8_size(text + before + after)
-        sizes = accumulate(map(utf8_size, wanted))
-        shown = [item for item, size in zip(wanted, sizes, strict=True) if size <= room]
-        if shown:
-            text += "".join([before, *shown, after])
-        if len(shown) < len(wanted):
-            left_out.append(f"{len(wanted) - len(shown)} {what}")
-    if left_out:
-        text += f"\nLeft out, for the size that a summary may have: {', '.join(left_out)}. verdict.json has all.\n"
-    return text if utf8_size(text) <= limit else ""  # a file that is full already
-
-
-def utf8_size(text: str) -> int:
-    return len(text.encode())
-
-
-def _head(verdict: Verdict, seconds: float) -> str:
-    lines = [f"mitsuba-ref validate, {seconds:.1f} s", *group_lines(verdict.scenes), *summary_lines(verdict)]
-    items = "\n".join(f"- {escaped(' '.join(line.split()))}" for line in lines)
-    return f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}\n\n{items}\n\n"
-
-
-def _table_head(*more: str) -> str:
-    names = ("scene", *COLUMNS, *more)
-    numbers = len(COLUMNS) - 1
-    alignment = ["---", *["---:"] * numbers, *["---"] * (len(names) - numbers - 1)]
-    return _table_row(names) + _table_row(alignment)
-
-
-def _table_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |\n"
-
-
-def _cells(scene: SceneVerdict) -> list[str]:
-    return [escaped(cell) for cell in (scene.name, *row_cells(scene))]
-
-
-def _failing_row(scene: SceneVerdict) -> str:
-    """The first line of the failure, without FAIL and the scene's name, and the command that shows the worst pixel."""
-    line = failure_text(scene).partition("\n")[0].removeprefix(f"FAIL  {scene.name}  ")[:MAX_FAILURE_CHARACTERS]
-    pixel = (scene.failures[0].x, scene.failures[0].y) if scene.failures else None
-    return _table_row([*_cells(scene), escaped(line), f"<code>{escaped(replay(scene, pixel))}</code>"])
-
-
-MAX_FAILURE_CHARACTERS = 200  # of a row
-
-
-def escaped(text: str) -> str:
-    """One line that Markdown and HTML show unchanged: special characters become numeric references."""
-    return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in printable(text, keep=""))
+    """The outcome as a heading, and the text of the log as a block of code; at most `limit` bytes of UTF-8."""
+    width = max((len(scene.name) for scene in verdict.scenes), default=0)
+    table = [table_head(width), *(table_row(scene, width) for scene in verdict.scenes)]
+    missing = [f"FAIL  {name}  not judged" for name in verdict.not_judged]
+    parts = failures_text(verdict), "\n".join(missing), summary_text(verdict, seconds), "\n".join(table)
+    text = folded(printable("\n\n".join(filter(None, parts))))
+    fence = "`" * max(3, 1 + max(map(len, re.findall("`+", text)), default=0))  # which no line of the text can close
+    before, after = f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}\n\n{fence}\n", f"\n{fence}\n\n"
+    room = limit - len(f"{before}{after}".encode())
+    if len(text.encode()) > room:
+        text = text.encode()[: max(0, room - len(CUT))].decode(errors="ignore") + CUT
+    found = f"{before}{text}{after}"
+    return found if len(found.encode()) <= limit else ""  # a file that is full already
 
 
 # ---- JUnit XML ----

@@ -5,21 +5,17 @@ import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from caster.cameras import CAMERAS
 from caster.cli.shared_arguments import resized
-from caster.description.errors import SceneError, suggestion
-from caster.description.registry import type_name
+from caster.description.errors import SceneError
 from caster.rendering.threads import set_default_threads
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from caster.shapes import SHAPES
 from caster.system.atomic_files import OutputError
 from caster.system.cluster import CallEnded
 from mitsuba_ref.judge.aggregate import scene_statistics
@@ -28,7 +24,7 @@ from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request,
 from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.reference.store import StoreFolder, local_store
-from mitsuba_ref.report.out_folder import file_records, files_of
+from mitsuba_ref.report.out_folder import files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner.engine import LOCAL, Engine, opened
@@ -179,10 +175,12 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
         set_default_threads(options.threads)
     scene = entry.load()
     folder, foreign = options.folder, entry.subject or options.subject
-    store = local_store() if options.store and options.page_of is None and foreign is None else None
-    about = {"size": entry.size, "options": entry.options, "out": bool(folder), "thorough": options.thorough}
+    # The files of --out and the pages of --html are made of what is seen, which is not stored.
+    storable = options.store and not (folder or options.page_of or foreign)
+    store = local_store() if storable else None
+    about = {"size": entry.size, "options": entry.options, "thorough": options.thorough}
     key = verdict_key(scene, entry.path, **about) if store else ""
-    if store and key and (found := _stored_verdict(store, key, folder)):
+    if store and key and (found := _stored_verdict(store, key)):
         return found
     try:
         verdict = judge_loaded(entry, scene, options)
@@ -192,21 +190,18 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
         failed = SceneVerdict(entry.name, entry.path, problem=problem_of(error))
         verdict = _completed(failed, entry, scene, options)
     if folder:
-        verdict = replace(verdict, files=file_records(folder, verdict))
+        verdict = replace(verdict, files=tuple(name for name in files_of(verdict) if (folder / name).is_file()))
     if store and key and not verdict.problem:
         store.put(key, json.dumps(verdict.to_dict(), allow_nan=False).encode())
     return verdict
 
 
-def _stored_verdict(store: StoreFolder, key: str, folder: Path | None) -> SceneVerdict | None:
-    """The stored verdict of equal inputs, marked as kept, if its files in the folder are unchanged."""
+def _stored_verdict(store: StoreFolder, key: str) -> SceneVerdict | None:
+    """The stored verdict of equal inputs, marked as kept."""
     try:
-        found = TypeAdapter(SceneVerdict).validate_json(store.get(key) or b"")
+        return replace(TypeAdapter(SceneVerdict).validate_json(store.get(key) or b""), kept=True)
     except ValidationError:
         return None
-    if folder and (set(files_of(found)) != set(found.files) or file_records(folder, found) != found.files):
-        return None
-    return replace(found, kept=True)
 
 
 def judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> SceneVerdict:
@@ -245,28 +240,21 @@ def _completed(verdict: SceneVerdict, entry: SceneEntry, scene: Scene, options: 
     return with_replay(replace(found, seen=options.page_of(found) if options.page_of and found.seen else None))
 
 
-# ---- selection by an expression over the names of scenes ----
+# ---- selection by an expression over names ----
 
-TYPE_PREFIX = "type:"  # of a word about the shapes and the camera of a scene, not about its name
 OPERATORS = ("and", "or", "not", "(", ")")
 
 Predicate = Callable[[str], bool]
 
 
-def matching(expression: str | None, types_of: Callable[[str], frozenset[str]] | None = None) -> Predicate:
+def matching(expression: str | None) -> Predicate:
     """A predicate on names by an expression of parts of names, `and`, `or`, `not` and parentheses.
 
-    types_of: the types in a scene file; the predicate then takes paths, whose stem is the name, and `type:mesh` is true
-    of a scene with such a shape or camera. Raises SceneError for a malformed expression.
+    Raises SceneError for a malformed expression.
     """
     if expression is None:
         return lambda name: True
     tokens = re.findall(r"[()]|[^\s()]+", expression)
-    known = (*(type_name(each) for registry in (SHAPES, CAMERAS) for each in registry), "triangles")
-    for wanted in (token.removeprefix(TYPE_PREFIX) for token in tokens if types_of and token.startswith(TYPE_PREFIX)):
-        if wanted not in known:
-            word = f"{TYPE_PREFIX}{wanted}"
-            raise SceneError(f"-k {word}: unknown type{suggestion(wanted, known)} (known: {', '.join(known)})")
     # Every word becomes a call with a quoted argument, so that nothing but `has` and operators can run.
     source = " ".join(token if token in OPERATORS else f"has({token!r})" for token in tokens)
     try:
@@ -277,10 +265,4 @@ def matching(expression: str | None, types_of: Callable[[str], frozenset[str]] |
         raise SceneError(
             f"-k {expression[:200]!r}: expected parts of names with and, or, not and parentheses"
         ) from None
-
-    def has(name: str, word: str) -> bool:
-        if types_of and word.startswith(TYPE_PREFIX):
-            return word.removeprefix(TYPE_PREFIX) in types_of(name)
-        return word in (Path(name).stem if types_of else name)
-
-    return lambda name: bool(eval(code, {"__builtins__": {}, "has": partial(has, name)}))
+    return lambda name: bool(eval(code, {"__builtins__": {}, "has": name.__contains__}))

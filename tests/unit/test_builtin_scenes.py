@@ -11,11 +11,11 @@ from verdict_factory import scene
 
 from caster.description.errors import SceneError
 from caster.rendering.images import render
-from caster.scene.files import load_scene, types_in_file
+from caster.scene.files import load_scene
 from mitsuba_ref.cli.validate import exit_code
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck
 from mitsuba_ref.report import validation
-from mitsuba_ref.runner.many_scenes import JudgeOptions, matching
+from mitsuba_ref.runner.many_scenes import JudgeOptions
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 
 BUILTIN = ROOT / "mitsuba_ref" / "runner" / "builtin"
@@ -56,7 +56,6 @@ def test_a_mesh_file_is_a_scene_whose_camera_sees_all_of_it(tmp_path):
     assert np.array_equal(mesh.vertices[mesh.faces], CORNERS[np.array(FACES)])
     hit = render(loaded, ("hit",))["hit"]
     assert hit.any() and not (hit[0].any() or hit[-1].any() or hit[:, 0].any() or hit[:, -1].any())
-    assert {"mesh", "triangles"} <= types_in_file(path)
 
 
 @pytest.mark.parametrize(("scale", "place"), [(1e-20, 0.0), (1e12, 0.0), (1.0, 1e6)])
@@ -80,21 +79,6 @@ def test_a_mesh_that_cannot_be_seen_is_an_error_with_its_name(tmp_path, monkeypa
     Path(name).write_bytes(data)
     with pytest.raises(SceneError, match=f"^{name}: .*{message}"):
         load_scene(name)
-
-
-# ---- -k type:
-
-
-def test_a_type_in_an_expression_is_about_shapes_and_cameras():
-    fits = matching("type:triangles and not type:sphere and not scan", types_in_file)
-    names = {path.stem for path in SCENES if fits(str(path))}
-    assert "pile" in names and "flat-boxes" in names and "scan" not in names and "cylinders" not in names
-    assert matching("type:orthographic", types_in_file)(str(BUILTIN / "triangles" / "shared-edges.toml"))
-
-
-def test_an_unknown_type_is_an_error_with_the_known_ones():
-    with pytest.raises(SceneError, match=r"unknown type, did you mean 'sphere'\? \(known: sphere, "):
-        matching("type:spere", types_in_file)
 
 
 # ---- scenes that are waived

@@ -150,7 +150,7 @@ def test_a_file_that_is_no_verdict_is_reported(folder, capsys):
     for content, says in (
         ("", "not a whole verdict: Expecting value"),
         ("[1]", "expected a verdict of format"),
-        (json.dumps(good | {"format": 1}), "expected a verdict of format 5, got 1"),
+        (json.dumps(good | {"format": 1}), "expected a verdict of format 6, got 1"),
         (json.dumps(good | {"ok": False}), "its ok is False, by its numbers it is True"),
         (json.dumps({k: v for k, v in good.items() if k != "scenes"}), "not a whole verdict"),
         (json.dumps(good | {"scenes": [{}]}), "not a whole verdict"),

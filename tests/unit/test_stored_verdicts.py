@@ -1,4 +1,4 @@
-"""A verdict of identical inputs is taken from the store and marked; anything else is judged again."""
+"""A verdict of equal inputs is taken from the store and marked; anything else is judged again."""
 
 import json
 import os
@@ -14,7 +14,6 @@ from mitsuba_ref.reference import store, variants
 from mitsuba_ref.runner import many_scenes, verdict_files
 
 BALL = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\nradius = {}\n'
-IMAGES = ("ours", "reference", "verdict")
 
 
 @pytest.fixture
@@ -29,8 +28,6 @@ def judged(tmp_path, monkeypatch):
     def validate(scene, name, path, *, folder=None, **options):
         with Path("judged").open("a") as asked:  # by a worker
             asked.write(f"{name}\n")
-        for which in IMAGES if folder else ():
-            (folder / f"{name}.{which}.exr").write_bytes(b"pixels")
         return replace(made(name), path=path, reproducers=())
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
@@ -54,12 +51,12 @@ def test_the_same_inputs_are_found_and_stated(judged, capsys):
     out = capsys.readouterr().out
     assert "kept:       3 scenes were not judged now" in out and "PASS  a" in out
     assert judged("--no-store") == ALL
-    assert judged("--html", "report") == ALL  # whose pixels are not kept
+    assert judged("--html", "report") == ALL == judged("--out", "out")  # whose pixels are not kept
 
 
 def test_another_option_judges_all_anew(judged):
     assert judged() == ALL
-    for words in (("--size", "20", "10"), ("--mesh-dir", "scenes"), ("--out", "out")):
+    for words in (("--size", "20", "10"), ("--mesh-dir", "scenes")):
         assert judged(*words) == ALL and judged(*words) == [], words
 
 
@@ -77,7 +74,7 @@ def patched(where, name, value):
 
 CHANGES = {
     "the scene": edit_scene,
-    "code": patched(verdict_files, "code_hash", lambda modules: "other"),
+    "code": patched(verdict_files, "code_hash", lambda: "other"),
     "a version": patched(store, "installed_version", lambda name: "9"),
     "the variant": patched(verdict_files, "variant_of", lambda scene: "other"),
     "libLLVM": patched(variants, "environment_for", lambda variant: {"DRJIT_LIBLLVM_PATH": "/other"}),
@@ -97,14 +94,6 @@ def test_whatever_changes_is_another_key(tmp_path, monkeypatch, change):
         after = verdict_files.verdict_key(load_scene("scene.toml"), "scene.toml")
     store.this_machine.cache_clear()
     assert before == again != after and bool(after) == (change != "a kind of another package")
-
-
-def test_an_image_that_is_not_what_was_written_is_judged_anew(judged):
-    assert judged("--out", "out") == ALL and judged("--out", "out") == []
-    file = Path("out/b.reference.exr")
-    for change in (file.unlink, lambda: file.write_bytes(b""), lambda: file.write_bytes(b"pixelz")):
-        change()
-        assert judged("--out", "out") == ["b"]
 
 
 def test_an_interrupted_run_goes_on_where_it_ended(judged, monkeypatch):
@@ -140,8 +129,8 @@ def test_every_source_file_counts(tmp_path, monkeypatch):
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.write_bytes(source.read_bytes())
     monkeypatch.setattr(verdict_files, "__file__", str(tmp_path / "mitsuba_ref/runner/verdict_files.py"))
-    monkeypatch.setattr(verdict_files, "sources", verdict_files.sources.__wrapped__)
-    assert verdict_files.code_hash() == before
+    hash_again = verdict_files.code_hash.__wrapped__
+    assert hash_again() == before
     with (tmp_path / "caster/shapes/sphere.py").open("a") as file:
         file.write("#")
-    assert verdict_files.code_hash() != before
+    assert hash_again() != before
