@@ -10,7 +10,8 @@ import numpy as np
 from caster.cli.shared_arguments import display_names, scene_files
 from caster.scene.model import Scene
 from mitsuba_ref.judge.checks import run_checks
-from mitsuba_ref.probe.pixel import PixelVerdict, probe_with_evidence
+from mitsuba_ref.probe.pixel import probe_with_evidence
+from mitsuba_ref.probe.verdict import PixelVerdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import export_scene

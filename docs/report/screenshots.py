@@ -18,7 +18,6 @@ from playwright.sync_api import Browser, sync_playwright
 
 from caster import load_scene
 from caster.rendering.hits import RayHits
-from caster.rendering.threads import core_count
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_stored
 from mitsuba_ref.reference.shared_input import pixel_of
@@ -72,8 +71,9 @@ def report_into(folder: Path) -> Path:
     entries = [many_scenes.SceneEntry(file.stem, f"scenes/{file.name}", given=load_scene(file)) for file in files]
     report = HtmlReport(folder, len(entries) + 1)
     options = many_scenes.JudgeOptions(page_of=page_record)
-    for verdict in many_scenes.run(entries, options, core_count(), record=report.keep):
-        report.add(verdict)
+    with many_scenes.engine_for(entries, options) as engine:
+        for verdict in many_scenes.run(entries, options, engine, record=report.keep):
+            report.add(verdict)
     scene = load_scene(SCENES / "one-sphere.toml")
     report.add(
         report.keep(with_replay(validate_scene(scene, BIASED, "one-sphere.toml", send=biased_answer, keep=True)))

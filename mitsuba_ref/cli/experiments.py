@@ -27,7 +27,7 @@ from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, chosen, interpreter
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import machine
-from mitsuba_ref.report.results import libllvm, print_lines, versions, write_result
+from mitsuba_ref.report.results import libllvm, print_lines, write_result
 from mitsuba_ref.runner.engine import LOCAL, opened
 from mitsuba_ref.runner.version_comparison import (
     LEGEND,
@@ -110,7 +110,7 @@ def sweep_text(found: SweepResult | OriginSweep, skip_unsupported: bool) -> str:
 
 def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family], args: argparse.Namespace) -> StressRun:
     """Write the JSON file, if any, and print a last line; returns the result."""
-    installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
+    installed = {name: machine()[name] for name in ("mitsuba", "drjit", "numpy")} | {"libllvm": libllvm()}
     requested = tuple(family.name for family in families)
     run = StressRun(args.seed, installed, requested, tuple(done), args.skip_unsupported)
     if args.json:

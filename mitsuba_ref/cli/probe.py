@@ -11,7 +11,8 @@ from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
 from mitsuba_ref.cli.options import candidate_words, load_scene_or_original, requested_candidate
-from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence, as_text, probe_with_evidence
+from mitsuba_ref.probe.pixel import ProbeEvidence, probe_with_evidence
+from mitsuba_ref.probe.verdict import PixelVerdict, as_text
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.report.builtin_scenes import shown_path

@@ -27,8 +27,8 @@ from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.ci_summaries import append, junit
-from mitsuba_ref.report.out_folder import OutFolder, verdict_json
-from mitsuba_ref.report.results import print_lines
+from mitsuba_ref.report.out_folder import OutFolder
+from mitsuba_ref.report.results import json_text, print_lines
 from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, matching
 from mitsuba_ref.runner.shards import merge_verdicts
@@ -177,7 +177,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     """Write --json, --junit and --summary-md. Raises OutputError."""
     if args.json:
-        write_text(args.json, verdict_json(verdict))
+        write_text(args.json, json_text(verdict))
     if args.junit:
         write_text(args.junit, junit(verdict))
     if args.summary_md:

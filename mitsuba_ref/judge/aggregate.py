@@ -239,7 +239,7 @@ def _stacked(bands: Sequence[Aovs]) -> Aovs:
 # ---- the windows of a large film, judged one after the other ----
 
 
-SUMS = ("pixels", "hit_pixels", "seconds", "adjudicated", "not_adjudicated", "exact_seconds", "not_stored")
+SUMS = ("pixels", "hit_pixels", "seconds", "adjudicated", "not_adjudicated", "not_stored")
 COUNTS = ("counts", "cases", "failing_by")
 
 

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from time import perf_counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -68,7 +67,6 @@ class Judgement:
     allowed: Mapping[str, float]  # the scene's own shares of bounds
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
-    exact_seconds: float  # spent on exact arithmetic
     not_adjudicated: Array = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
 
     def excess(self, name: str) -> Array:
@@ -173,9 +171,7 @@ class Judge:
         agreeing = comparison.agrees & self.consistent & ~broken & fits & ~loose
 
         # Step 2: exact arithmetic, where it may matter and at some pixels where it should not.
-        start = perf_counter()
         exact = self._adjudicate(agreeing)
-        seconds = perf_counter() - start
 
         # Step 3: classes of disputed pixels, first where the subject is exactly right, then where it is not.
         classes = np.where(agreeing, CODE.agree, CODE.undecided)
@@ -207,7 +203,7 @@ class Judge:
         left_out = ~agreeing & (classes == CODE.undecided) & (self.t_max >= 0.0)
         left_out[exact.rows] = False
         rows = np.flatnonzero(left_out & self.consistent)
-        return Judgement(classes, ratios, comparison.allowed, exact, cases, seconds, rows)
+        return Judgement(classes, ratios, comparison.allowed, exact, cases, rows)
 
     def _has_loose_normals(self) -> Array:
         """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""

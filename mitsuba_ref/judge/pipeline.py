@@ -216,7 +216,6 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         allowed={name: check.ratio for name, check in task.scene.checks.items()} if task.ours else {},
         adjudicated=len(judgement.exact.rows),
         not_adjudicated=len(judgement.not_adjudicated),
-        exact_seconds=judgement.exact_seconds,
         cases=defect_counts(judgement),
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},

@@ -152,7 +152,6 @@ class SceneVerdict:
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
     adjudicated: int = 0  # pixels compared with exact arithmetic
     not_adjudicated: int = 0  # undecided pixels of a kind that exact arithmetic found wrong in a sample
-    exact_seconds: Seconds = 0.0  # share of `seconds` spent on exact arithmetic
     cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
     reproducers: tuple[str, ...] = ()  # files, one ray each
     biases: tuple[KindBias, ...] = ()  # of each kind that is hit, of our caster

@@ -9,15 +9,10 @@ from caster.description.errors import SceneError
 from caster.description.input_files import read_text
 from caster.system.atomic_files import OutputError, check_folder, write_text
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
-from mitsuba_ref.report.results import plural
+from mitsuba_ref.report.results import json_text, plural
 
 IMAGES = ("ours", "reference", "verdict")
 VERDICT = "verdict.json"
-
-
-def verdict_json(verdict: Verdict) -> str:
-    """The text of verdict.json."""
-    return json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
 
 
 def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
@@ -45,7 +40,7 @@ class OutFolder:
     def finish(self, verdict: Verdict) -> str:
         """Write verdict.json and remove obsolete files of the judged scenes, such as reproducers of pixels that are no
         longer wrong; a sentence on their number. Files of other scenes stay."""
-        write_text(self.folder / VERDICT, verdict_json(verdict))
+        write_text(self.folder / VERDICT, json_text(verdict))
         removed = 0
         for scene in verdict.scenes:
             for name in self.earlier.get(scene.name, ()):

@@ -19,7 +19,6 @@ from pydantic import TypeAdapter
 
 from caster.system.atomic_files import write_text
 from caster.system.terminal import LINE_CHARACTERS, folded, printable, unfiltered
-from mitsuba_ref.reference.store import installed_version, machine
 from mitsuba_ref.reference.variants import usable_variants
 
 STANDARD_OUTPUT = "-"
@@ -31,18 +30,17 @@ def as_json(result: Any) -> dict[str, Any]:
     return data
 
 
+def json_text(result: Any) -> str:
+    """The result as JSON."""
+    return json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
+
+
 def write_result(result: Any, file: str) -> None:
     """Write the JSON of a result. Raises OutputError."""
-    text = json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
     if file == STANDARD_OUTPUT:
-        sys.stdout.write(text)
+        sys.stdout.write(json_text(result))
     else:
-        write_text(file, text)
-
-
-def versions(*packages: str) -> dict[str, str]:
-    """Versions of packages, Mitsuba's of the chosen interpreter; "none" where there is none."""
-    return {name: machine().get(name) or installed_version(name) for name in packages}
+        write_text(file, json_text(result))
 
 
 def libllvm() -> str:

@@ -162,11 +162,10 @@ def summary_lines(verdict: Verdict) -> Iterator[str]:
     counts = {AGREE: 0} | spoken_counts(*verdict.scenes)
     total = sum(counts.values()) or 1
     shares = [f"{count} {name} ({percent(count, total)})" for name, count in counts.items()]
-    exact_seconds = sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept)
     yield from waiver_lines(verdict)
     if not all(scene.problem for scene in verdict.scenes):
         yield f"hit pixels: {', '.join(shares)}"
-        yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s"
+        yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic"
     yield from candidate_lines(verdict)
     yield from _note_lines(verdict)
     yield from (f"reference:  {versions}" for versions in verdict.versions)

@@ -1,10 +1,8 @@
 """A run in several shards: the scenes of each, and their verdicts merged into one."""
 
 import argparse
-import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
@@ -12,6 +10,7 @@ from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.store import BUILD, PROCESSOR, key_of, machine
+from mitsuba_ref.report.results import libllvm
 from mitsuba_ref.runner.many_scenes import SceneEntry
 from mitsuba_ref.runner.verdict_files import UnreadableVerdict, code_hash
 
@@ -19,11 +18,9 @@ from mitsuba_ref.runner.verdict_files import UnreadableVerdict, code_hash
 def judged_with() -> dict[str, str]:
     """Versions, variants, architecture and processor of this run. Raises VariantError."""
     flat, quadrics = (variants.variant_for(has_quadrics=each) for each in (False, True))
-    library = variants.usable_variants().libllvm if variants.LLVM in (flat, quadrics) else None
     versions = {name: version for name, version in machine().items() if name not in ("system", "python", BUILD)}
-    # libLLVM by the version in the name of its file, since folders differ between systems
-    llvm = ".".join(re.findall(r"\d+", Path(library).name)) or library if library else "none"
-    return {**versions, "variant of triangles": flat, "variant of quadrics": quadrics, "libLLVM": llvm}
+    used = libllvm() if variants.LLVM in (flat, quadrics) else "none"
+    return {**versions, "variant of triangles": flat, "variant of quadrics": quadrics, "libLLVM": used}
 
 
 class Shard(NamedTuple):

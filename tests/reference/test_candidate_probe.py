@@ -16,7 +16,8 @@ from caster.scene.model import Scene
 from mitsuba_ref import __main__
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import WRONG
-from mitsuba_ref.probe.pixel import CandidatePixel, probe_candidate
+from mitsuba_ref.probe.pixel import probe_candidate
+from mitsuba_ref.probe.verdict import CandidatePixel
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Subject

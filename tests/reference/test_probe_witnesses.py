@@ -96,7 +96,7 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
     [(np.float64, 1e-15, True), (np.float64, 1e-12, False), (np.float32, 1e-7, True), (np.float32, 1e-5, False)],
 )
 def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kind, off, right):
-    from mitsuba_ref.probe.pixel import compared_with_exact, surface_of, witness_lines
+    from mitsuba_ref.probe.witnesses import compared_with_exact, surface_of, witness_lines
 
     judge = scene_judge(caster.load_scene(probed / "edge.toml"))
     exact = judge.oracle.first_hit(judge.o[0], judge.d[0], t_max=judge.t_max[0])

@@ -23,9 +23,8 @@ def judgement_of(*classes, ratios=None, right=(), answered=None, cases=None, all
     exact = Adjudication(rows, answers, np.where(is_right, 0.0, INF), is_right)
     given = {"depth": np.zeros(count), EXACT: np.zeros(count)} | (ratios or {})
     codes = np.array([CLASS_CODE[name] for name in classes])
-    return Judgement(
-        codes, {name: np.asarray(each, float) for name, each in given.items()}, allowed or {}, exact, cases or {}, 0.0
-    )
+    shares = {name: np.asarray(each, float) for name, each in given.items()}
+    return Judgement(codes, shares, allowed or {}, exact, cases or {})
 
 
 def subject(*, ours: bool, precision="float64") -> SimpleNamespace:

@@ -1,0 +1,205 @@
+"""The verdict on one pixel with its evidence, as JSON and as text for a terminal."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+from caster.system.terminal import folded
+from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN
+from mitsuba_ref.judge.verdict import AGREE, FAILING, UNLISTED, json_number
+from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_lines
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """The class of one ray, and why."""
+
+    verdict: str
+    why: str = ""
+    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
+    problem: str = ""  # why there is nothing to judge
+
+    @property
+    def ok(self) -> bool:
+        return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidatePixel(Explained):
+    """The verdict on one pixel of a candidate."""
+
+    name: str
+    precision: str = ""  # by whose bounds it is judged
+    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, if given
+    notes: tuple[str, ...] = ()
+    witness: WitnessAnswer | None = None  # its row among the witnesses
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathRay(Explained):
+    """One secondary ray and its verdict."""
+
+    path: str  # a letter for each bounce, such as RTS
+    answers: tuple[str, ...] = ()  # as text: the subject's, the reference's, the exact one
+
+
+@dataclass(frozen=True)
+class PossibleHit:
+    """A primitive that the ray may hit in float32, and where."""
+
+    shape: str
+    prim: int  # within its shape
+    t: float
+    t_error: float
+    certain: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelVerdict(Explained):
+    """The verdict on one pixel, and its reasons."""
+
+    x: int
+    y: int
+    ray: dict[str, Any]
+    ours: dict[str, Any] = field(default_factory=dict)
+    reference: dict[str, Any] = field(default_factory=dict)
+    exact: dict[str, Any] = field(default_factory=dict)
+    ratios: dict[str, float] = field(default_factory=dict)  # error over bound, of what was judged
+    not_judged: dict[str, str] = field(default_factory=dict)  # the rest, and why
+    possible: tuple[PossibleHit, ...] = ()
+    versions: dict[str, str] = field(default_factory=dict)
+    witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
+    candidate: CandidatePixel | None = None  # if one was requested
+    path: tuple[PathRay, ...] | None = None  # its secondary rays, if they were requested
+
+    def __str__(self) -> str:
+        """The text of `mitsuba-ref probe`."""
+        return as_text(self, "the scene")
+
+    @property
+    def ok(self) -> bool:
+        """Whether our answer, Mitsuba's and the candidate's, if there is one, are explained."""
+        return super().ok and all(each.ok for each in (self.candidate, *(self.path or ())) if each is not None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; infinite numbers become text."""
+        plain: dict[str, Any] = _json_value(self)
+        return plain
+
+
+def _json_value(value: Any) -> Any:
+    if is_dataclass(value):
+        found = {each.name: getattr(value, each.name) for each in fields(value)}
+        value = found | {"ok": value.ok} if isinstance(value, Explained) else found
+    if isinstance(value, Mapping):
+        return {key: _json_value(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_value(each) for each in value]
+    return json_number(value) if isinstance(value, float) else value
+
+
+# ---- for a terminal
+
+MAX_PRIMS_SHOWN = 12  # primitives; --json has all
+
+
+def as_text(found: PixelVerdict, path: str, *, brief: bool = False) -> str:
+    """The verdict as text for a terminal. brief: without the numbers behind it."""
+    return folded("\n".join(_lines(found, path, brief)))
+
+
+def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
+    yield from _head(found, path)
+    if found.problem:
+        yield found.problem
+        return
+    yield "\nwho is right"
+    yield from _exact_lines(found.exact)
+    yield from witness_lines(found.witnesses)
+    yield from (f"  note: {note}" for note in (found.candidate.notes if found.candidate else ()))
+    if found.path is not None:
+        yield from path_lines(found.path)
+    if brief:
+        return
+    yield "\nthe ray"
+    for name, value in found.ray.items():
+        yield from _value_lines(name, value)
+    yield "\nt, in lengths of d"
+    yield from t_lines(found.witnesses)
+    for name in [name for name in found.ours if name not in ("shape", "t")]:
+        yield f"\n{name}"
+        for who, value in _sides(found, name).items():
+            yield from _value_lines(who, value)
+    yield "\nshare of each bound that our error uses"
+    for name, ratio in found.ratios.items():
+        yield f"  {name:<16}{ratio:.3g}" if math.isfinite(ratio) else f"  {name:<16}no bound allows this"
+    for name, why in found.not_judged.items():
+        yield f"  {name:<16}not judged: {why}"
+    yield "\nprimitives that may be hit in float32, t and how far it may be off"
+    for each in found.possible[:MAX_PRIMS_SHOWN]:
+        mark = "certain" if each.certain else ""
+        yield f"  {each.t!r:<22} +- {each.t_error:<10.3g} {each.shape}, prim {each.prim} {mark}".rstrip()
+    if len(found.possible) > MAX_PRIMS_SHOWN:
+        yield f"  and {len(found.possible) - MAX_PRIMS_SHOWN} more (--json lists them)"
+    yield f"\nreference: {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
+
+
+def _head(found: PixelVerdict, path: str) -> Iterator[str]:
+    """Classes with their reasons, the candidate's first if there is one."""
+    place, theirs = f"pixel ({found.x}, {found.y}) of {path}", found.candidate
+    yield f"{place}: {(theirs or found).verdict}"
+    if theirs is None:
+        if not found.problem:
+            yield f"why:       {found.why}"
+        return
+    held = f", held to the bounds of {theirs.precision}" if theirs.precision else ""
+    yield f"candidate: {theirs.name}{held}"
+    first, *rest = (theirs.problem or theirs.why).splitlines() or [""]
+    yield f"why:       {first}"
+    yield from (f"           {line}" for line in rest)
+    yield f"ours:      {found.verdict}: {found.why}"
+
+
+def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
+    """One quantity by each side."""
+    theirs = found.candidate.says if found.candidate is not None else {}
+    sides = {"ours": found.ours[name], "reference": found.reference[name]}
+    return sides | ({"candidate": theirs[name]} if name in theirs else {})
+
+
+def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
+    """What is hit exactly, and the other intersections of the ray."""
+    if not exact:
+        yield "  exact: no answer"
+        return
+    yield f"  exact: t {exact['t']!r}  {exact['t'].hex()}" if exact["hit"] else "  exact: miss"
+    for tie in exact["ties"][:MAX_TIES_SHOWN]:
+        yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
+    if len(exact["ties"]) > MAX_TIES_SHOWN:
+        yield f"         and {len(exact['ties']) - MAX_TIES_SHOWN} more at the same t (--json lists them)"
+    if exact["flags"]:
+        yield f"         on the way: {', '.join(exact['flags'])}"
+
+
+def _value_lines(name: str, value: Any) -> Iterator[str]:
+    """Decimal, and hex to the bit, which has a line of its own unless there is just one number."""
+    values = value if isinstance(value, list) else [value]
+    decimals, bits = " ".join(map(repr, values)), " ".join(float(each).hex() for each in values)
+    gap = "  " if len(values) == 1 else "\n    "
+    yield f"  {name:<11}{decimals}{gap}{bits}"
+
+
+LEGEND = "\nsecondary rays by their paths: R reflected, T refracted, S to a light"
+
+
+def path_lines(rays: Sequence[PathRay]) -> Iterator[str]:
+    """A line for each ray; where the answers do not agree, all of them."""
+    yield LEGEND if rays else "\nno secondary rays"
+    width = max((len(each.path) for each in rays), default=0)
+    for each in rays:
+        answer, *others = *each.answers, each.problem or each.why
+        yield f"  {each.path:<{width}}  {each.verdict.replace('_', ' ')}: {answer}"
+        if each.verdict != AGREE:
+            names = ("Mitsuba:", "exact:", "why:")
+            yield from (f"  {'':<{width}}    {name:<8} {words}" for name, words in zip(names, others, strict=False))

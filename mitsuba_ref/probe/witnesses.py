@@ -1,0 +1,187 @@
+"""The witnesses of a ray: ours, a candidate, exact arithmetic, and Mitsuba in each of its variants and modes."""
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref.error_model.bounds import intersections_at, row_distance
+from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
+from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
+from mitsuba_ref.judge.classification import EXACT, Judge, reference_prims
+from mitsuba_ref.judge.explanations import decimal_and_hex
+from mitsuba_ref.oracle.oracle import ExactAnswer
+from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+
+CANDIDATE = "candidate"
+WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
+MISSING = "does not work here"
+MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
+
+
+@dataclass(frozen=True)
+class WitnessAnswer:
+    """One witness's answer for the ray, compared with exact arithmetic."""
+
+    who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
+    shape: str = ""  # "miss" on a miss
+    prim: int = -1  # within its shape, -1 on a miss
+    t: float = math.nan
+    right: bool | None = None  # names a surface that is hit exactly, with t within its bound; None: undecided
+    off: float | None = None  # t minus the exact t; None on a miss, or if another surface is hit
+    ulps: float | None = None  # `off` in units of the last place of `format`
+    format: str = ""  # float32 or float64, in which it computes
+    share: float | None = None  # |off| over its bound in `format`
+    problem: str = ""  # why there is no answer
+    normal_share: float | None = None  # error of the normal over its bound, if that is judged
+    remark: str = ""  # defects of the answer itself
+
+
+def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
+    """The answers of all witnesses. judge: of a window of one pixel."""
+    ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
+    rows = [compared_with_exact(ours, judge, answer, np.float64)]
+    if answer is not None:
+        t = np.inf if answer.t is None else float(answer.t)
+        rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), t, right=True))
+    rows += [_of_mitsuba(f"mitsuba {variant}", found, judge, answer) for variant, found in mitsuba_answers(judge)]
+    return tuple(rows)
+
+
+def mitsuba_answers(judge: Judge) -> list[tuple[str, ReferenceResult | Crash | str]]:
+    """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
+    result, given = judge.result, judge.result.answer.versions["variant"]
+    works = {*variants.usable_variants().names, given}
+
+    def ask(variant: str) -> list[tuple[str, ReferenceResult | Crash | str]]:
+        answers: dict[str, ReferenceResult | Crash | str] = {}
+        for mode, robust in MODES.items():
+            if (variant, robust) == (given, result.robust):
+                answers[mode] = result
+            elif variant in works:
+                rays = judge.pair.rays
+                answers[mode] = trace_reference(
+                    judge.scene, judge.model, rays, variant=variant, lights=False, robust=robust
+                )
+            else:
+                answers[mode] = MISSING
+        return [(f"{variant} {mode}", answer) for mode, answer in answers.items()]
+
+    with ThreadPoolExecutor() as pool:
+        return list(chain.from_iterable(pool.map(ask, dict.fromkeys((*variants.VARIANT_NAMES, given)))))
+
+
+def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
+    """(shape, number within the shape) of a primitive of the scene."""
+    if prim < 0:
+        return "miss", -1
+    return named_prims(judge.scene, judge.model.packed, np.array([prim]))[0]
+
+
+def _of_mitsuba(
+    who: str, found: ReferenceResult | Crash | str, judge: Judge, exact: ExactAnswer | None
+) -> WitnessAnswer:
+    if not isinstance(found, ReferenceResult):
+        problem = found if isinstance(found, str) else f"no answer ({found.exit}): {found.headline}"
+        return WitnessAnswer(who, problem=problem)
+    surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
+    return compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
+
+
+def compared_with_exact(
+    claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
+) -> WitnessAnswer:
+    """An answer compared with the exact one. kind: the type that it was computed in."""
+    witness = WitnessAnswer(*claimed, format=np.dtype(kind).name)
+    if exact is None:
+        return witness
+    surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
+    if claimed[1:3] not in surfaces:
+        return replace(witness, right=False)
+    ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
+    at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
+    found = with_error_of_t(witness, exact, at.t_error)
+    return replace(found, right=found.share is None or found.share <= 1.0)
+
+
+def as_witness(judge: Judge, row: int) -> WitnessAnswer:
+    """The candidate's row among the witnesses: errors of t and of the normal, from the exact hit that fits best."""
+    answer = judge.answer.rows(np.array([row]))
+    what, t = "a hit" if answer.hit[0] else "miss", float(answer.t[0])  # it names no shape
+    claimed = WitnessAnswer(CANDIDATE, what, -1, t, format=answer.precision, remark=", ".join(answer.broken))
+    if judge.t_max[row] < 0.0:
+        return claimed
+    adjudicated = judge.adjudicated(np.array([row]))
+    (exact,) = adjudicated.answers
+    if exact is None:
+        return claimed
+    prims = exact.prims
+    at = judge.near(np.full(len(prims), row), prims, np.full(len(prims), np.nan if exact.t is None else float(exact.t)))
+    found = with_error_of_t(claimed, exact, at.t_error + answer.t_rounding)
+    if found.share is not None and answer.n is not None and not found.remark:
+        shares = ratio_to_bound(row_distance(answer.n.repeat(len(prims), axis=0), at.n), at.n_error)
+        found = replace(found, normal_share=float(shares.min()))
+    return replace(found, right=bool(adjudicated.right[0] and not found.remark))
+
+
+def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: np.ndarray) -> WitnessAnswer:
+    """The witness with the error of its t, as a share of the loosest bound; unchanged where either misses."""
+    if exact.t is None or not np.isfinite(witness.t):
+        return witness
+    off = exact.t.off(witness.t) * -exact.t.compare(witness.t)
+    share = float(ratio_to_bound(np.abs(off), bounds).min())
+    return replace(witness, off=off, ulps=in_ulps(off, exact, np.dtype(witness.format)), share=share)
+
+
+def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
+    """`off` in units of the last place of the exact t in a format; None if that overflows."""
+    assert exact.t is not None
+    with np.errstate(over="ignore", under="ignore"):
+        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
+    return off / ulp if np.isfinite(ulp) else None
+
+
+def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """A table for a terminal, without the exact answer; empty for a pixel without a ray."""
+    shown = [each for each in found if each.who != EXACT]
+    surface = max((len(_surface_text(each)) for each in shown), default=0)
+    for each in shown:
+        verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
+        verdict = "allowed" if _is_loose(each) else verdict
+        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}  {_error_text(each)}"
+        yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
+    if any(each.problem == MISSING for each in found):
+        yield f"  {MISSING}: {variants.usable_variants().why}"
+
+
+def t_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """t of each that hits, in decimal and to the bit."""
+    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in found if np.isfinite(each.t))
+
+
+def _surface_text(each: WitnessAnswer) -> str:
+    return f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape
+
+
+def _error_text(each: WitnessAnswer) -> str:
+    """The errors of an answer as text, with those beyond their bounds."""
+    parts = []
+    if each.ulps is not None:
+        parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
+    if _is_loose(each) and each.off:
+        parts.append(f"allowed: t is off by {100.0 * abs(each.off / each.t):.2g} %")
+    for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
+        if share is not None and not share <= 1.0:
+            parts.append(f"{what}{share:.3g}x its bound")
+    return ", ".join((*parts, *filter(None, [each.remark])))
+
+
+def _is_loose(each: WitnessAnswer) -> bool:
+    """Whether t is right only because its bound is loose."""
+    return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))
