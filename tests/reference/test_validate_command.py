@@ -148,8 +148,7 @@ def test_out_holds_the_verdict_and_the_images_that_a_row_and_probe_are_about(ref
     assert np.bincount(codes.ravel(), minlength=len(CLASSES)).tolist() == list(scene["counts"].values())
     assert set(scene["counts"]) == set(CLASSES) and scene["size"] == [15, 15] and scene["resized"] is True
     assert scene["ok"] is True and scene["failures"] == [] and scene["problem"] == ""
-    written = {file: (out / file).stat().st_size for file in files}
-    assert {file: about["bytes"] for file, about in scene["files"].items()} == written
+    assert set(scene["files"]) == files
     made = {check["name"] for check in scene["checks"]}
     assert made >= {"placement", "camera", "sensor", "render", "knife_edges", "geometry"}
     ((mark, name, hit, agree, others),) = ROW.findall(found.stdout)
