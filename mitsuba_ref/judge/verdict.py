@@ -168,7 +168,8 @@ class SceneVerdict:
     notes: tuple[str, ...] = ()  # assumptions and limits of the verdict
     coverage: Coverage | None = None  # of a Mitsuba file that is the reference
     unsupported: bool = False  # the candidate declined the scene, as `problem` states
-    waived: str = ""  # why the run passes although the scene is not ok: UNSUPPORTED or EXPECTED
+    # why the run passes although the scene is not ok
+    waived: Annotated[str, Field(pattern=f"^({UNSUPPORTED}|{EXPECTED})?$")] = ""
     options: tuple[str, ...] = ()  # options of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
     command: str = "validate"  # the command that judged it: validate or judge
