@@ -42,6 +42,7 @@ from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, float_column
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (
     SPHERE_UV,
+    growth_of_ellipsoids,
     half_chord_error,
     intersect_round,
     ours_through_object_space,
@@ -216,7 +217,11 @@ SPHERES = PrimitiveReference(
 ELLIPSOIDS = PrimitiveReference(
     Ellipsoids,
     ErrorModel(
-        intersect_ellipsoid, exact_kinds.ELLIPSOIDS, ours_through_object_space(intersect_ellipsoid), uv=SPHERE_UV
+        intersect_ellipsoid,
+        exact_kinds.ELLIPSOIDS,
+        ours_through_object_space(intersect_ellipsoid),
+        SPHERE_UV,
+        growth_of_ellipsoids,
     ),
     describe_unit_shape("sphere"),
     on_unit_shape(unit_sphere_points),
@@ -308,7 +313,8 @@ OUTER_ELLIPSOIDS = PrimitiveReference(
         enter_ellipsoid,
         exact_kinds.OUTER_ELLIPSOIDS,
         ours_through_object_space(partial(enter_ellipsoid, float32=False)),
-        uv=UvSpace(sphere_uv_points, None),
+        UvSpace(sphere_uv_points, None),
+        partial(growth_of_ellipsoids, float32=True),
     ),
     describe_unit_shape("ellipsoids", **EllipsoidCloud.MINIMAL),
     on_unit_shape(unit_sphere_points),
