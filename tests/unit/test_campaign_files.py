@@ -10,7 +10,7 @@ from caster.system.atomic_files import OutputError
 from mitsuba_ref.campaign import report as reports
 from mitsuba_ref.campaign import units as module
 from mitsuba_ref.campaign.description import read_campaign
-from mitsuba_ref.campaign.history import WAIT_SECONDS, History
+from mitsuba_ref.campaign.history import History
 from mitsuba_ref.campaign.report import LISTED, as_html, as_text, keep_scenes
 from mitsuba_ref.campaign.units import REFERENCE, SUBJECT, Failure, Result, units_of
 from mitsuba_ref.report import builtin_scenes
@@ -24,8 +24,8 @@ def units(tmp_path, monkeypatch):
     """The units of the text of a campaign file."""
     monkeypatch.chdir(tmp_path)
 
-    def found(text, name="campaign.toml"):
-        file = tmp_path / name
+    def found(text):
+        file = tmp_path / "campaign.toml"
         file.write_text(text)
         return units_of(read_campaign(str(file))[0])
 
@@ -36,13 +36,10 @@ def units(tmp_path, monkeypatch):
     ("text", "says"),
     [
         ("sed = [1]\n" + FUZZ, "campaign.toml:1:1: campaign: sed is an unknown key, did you mean 'seeds'?"),
-        (FUZZ + "example = 3", "campaign.toml:6:1: job[0] (fuzz): example is an unknown key, did you mean 'examples'?"),
         (FUZZ.replace("edges", "edge"), "families may not name 'edge', did you mean 'edges'?"),
         (FUZZ.replace("fuzz", "fuz"), "unknown job type \"fuz\", did you mean 'fuzz'?"),
-        (FUZZ.replace("[10, 40]", "40"), "rays must be a list, got 40"),
         (FUZZ.replace("30", "2_000_000"), "expected a campaign of at most 99 units"),
         (2 * "[[subject]]\n" + FUZZ, "needs subjects of different names, got 'ours' twice"),
-        ("[[job]\n", "campaign.toml:1:6: not valid TOML"),
         ('[[job]]\ntype = "films"\nscenes = 1\nsizes = [[70000, 9]]\n', "sizes[0][0] must be <= 65536"),
         (FUZZ.replace("30", "2_000_000_000"), "campaign.toml:4:1: job[0] (fuzz): examples must be <= 10000000"),
         ('[[subject]]\nname = ""\n' + FUZZ, "campaign.toml:2:1: subject[0]: name may not be empty"),
@@ -105,11 +102,10 @@ def test_units_by_name_number_and_working_folder(units, tmp_path, monkeypatch):
     job = SCENES.replace("{}", "{}/x.toml")
     with pytest.raises(SceneError, match="two units are called 'ours scenes scene=x bounce=0'"):
         units(job.format("a") + job.format("b"))
-    close = "values = [1e-3, 1.0000001e-3]\n"
     (unit,) = units(job.format("a"))
     monkeypatch.chdir(tmp_path / "b")
     assert units_of(read_campaign("../campaign.toml")[0]) == [unit]  # in every working folder
-    assert len(units(f'[[job]]\ntype = "stress"\nfamilies = ["sliver"]\n{close}')) == 2
+    assert len(units('[[job]]\ntype = "stress"\nfamilies = ["sliver"]\nvalues = [1e-3, 1.0000001e-3]\n')) == 2
 
 
 def test_keys_change_with_a_candidate_that_is_installed(units, tmp_path, monkeypatch):
@@ -281,7 +277,6 @@ def test_a_damaged_page_of_a_history_is_found_when_it_is_opened(units, tmp_path)
 
 
 def test_a_history_that_another_process_locks_is_an_error_in_time(units, tmp_path, monkeypatch):
-    assert WAIT_SECONDS <= 10.0
     monkeypatch.setattr("mitsuba_ref.campaign.history.WAIT_SECONDS", 0.1)
     made, file = units(FUZZ), tmp_path / "h.sqlite"
     with History(file, create=True) as history:

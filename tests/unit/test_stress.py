@@ -236,8 +236,6 @@ def test_a_part_of_the_name_selects_all_that_begin_with_it(capsys):
     [
         (["watertigth"], 2, "did you mean 'watertight'?"),
         (["-k", "nothing-like-it"], 5, "no family matches"),
-        (["-k", "and"], 2, "expected parts of names with and, or, not"),
-        (["--json", "/no/such/folder/x.json"], 4, "/no/such/folder"),
         (["--candidate", "true {xml} -o {exr}"], 2, "expected one that casts rays it is given"),
     ],
 )
