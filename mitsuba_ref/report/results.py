@@ -33,7 +33,11 @@ def as_json(result: Any) -> dict[str, Any]:
 
 def write_result(result: Any, file: str) -> None:
     """Write the JSON of a result. Raises OutputError."""
-    text = json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
+    write_output(json.dumps(as_json(result), indent=1, allow_nan=False) + "\n", file)
+
+
+def write_output(text: str, file: str) -> None:
+    """Write a file, or to standard output for "-". Raises OutputError."""
     if file == STANDARD_OUTPUT:
         sys.stdout.write(text)
     else:
