@@ -94,7 +94,7 @@ def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> Iterator[RayTi
     if origin is None or rows is None:
         return None
     few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
-    caster = TileCaster(packed, any_hit=False, light=PointLight(vec3(origin), NO_INTENSITY), rays=few, outward=True)
+    caster = TileCaster(packed, any_hit=False, light=PointLight(vec3(origin), NO_INTENSITY), rays=few)
     if caster.first_fan is None:
         return None
     some = sampled(rays, SAMPLED_DIRECTIONS)

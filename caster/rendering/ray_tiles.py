@@ -68,8 +68,8 @@ FEW_PRIMITIVES = 1 << 14
 class TileCaster:
     """Casts the rays of tiles at all kinds of primitives.
 
-    any_hit: until each has hit anything. uses_tree: the kinds whose trees are traversed. light: where all rays end, or
-    with `outward` start; then kinds with a tree and few enough primitives for so many `rays` are cast at as fans.
+    any_hit: until each has hit anything. uses_tree: the kinds whose trees are traversed. light: where all any-hit rays
+    end, or all others start; then kinds with a tree and few enough primitives for so many `rays` are cast at as fans.
     """
 
     def __init__(
@@ -80,10 +80,9 @@ class TileCaster:
         uses_tree: UsesTree = uses_bvh,
         light: PointLight | DirectionalLight | None = None,
         rays: int = 0,
-        outward: bool = False,
     ) -> None:
         most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE)) if light is not None else -1
-        self._any_hit, self._outward = any_hit, outward
+        self._any_hit = any_hit
         self._fans: list[Fan] = []
         self._without_trees: list[Place] = []
         self._kinds: list[Place] = []
@@ -144,10 +143,10 @@ class TileCaster:
     ) -> Iterator[Command]:
         """Cast the rays that the fan of that number takes."""
         fan = self._fans[number]
-        yield command(group_rays, fan, tile, LINES, groups, self._outward, when=when)
+        yield command(group_rays, fan, tile, LINES, groups, not self._any_hit, when=when)
         for n, (kind, base) in enumerate(self._kinds):
             about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
-            yield command(cast_fan, fan, *about, self._outward, when=(groups.counts, 0))
+            yield command(cast_fan, fan, *about, not self._any_hit, when=(groups.counts, 0))
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """Casts rays that the first fan does not have, by the other ones, then through the tree."""
