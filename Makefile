@@ -78,7 +78,7 @@ docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packag
 	@$(BIN)/python docs/architecture.py
 	@$(BIN)/python docs/method_pixel.py
 	@$(BIN)/python docs/console.py docs/quick-start.md docs/debugging.md
-	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
+	@$(BIN)/python docs/scenes.py
 
 site: $(SITE_TOOLS) ## docs/ as a site that can be searched, with a page a command and a report to try: build/site
 	@$(BIN)/python -P docs/build_site.py $(ARGS)

@@ -88,8 +88,8 @@ def lines(run: StressRun) -> Iterator[str]:
         yield from section(sweep)
     for sweep in run.families:
         if isinstance(sweep, OriginSweep):
-            yield f"## {sweep.name}\n\n{sweep.title[0].upper()}{sweep.title[1:]}. Of the rays that leave surfaces, the"
-            yield "self-hits/skipped surfaces/wrong sides ([method.md](../method.md#origins-of-secondary-rays)).\n"
+            yield f"## {sweep.name}\n\n{sweep.title[0].upper()}{sweep.title[1:]}. Each cell counts self-hits/skipped"
+            yield "surfaces/wrong sides of secondary rays ([method.md](../method.md#origins-of-secondary-rays)).\n"
             yield f"{markdown(origins.rows(sweep))}\n"
 
 
@@ -106,6 +106,8 @@ def outcome(run: StressRun) -> Iterator[str]:
         "its ray.",
         WIDTH,
     )
+    if spawned := [f"[{sweep.name}](#{sweep.name})" for sweep in run.families if isinstance(sweep, OriginSweep)]:
+        yield f"\n{len(spawned)} more sweeps judge where secondary rays start:\n{', '.join(spawned)}."
     yield f"\nSeed {run.seed}; {', '.join(f'{name} {version}' for name, version in run.versions.items())}.\n"
 
 

@@ -70,7 +70,9 @@ def run_supervised(words: Sequence[str]) -> int:
         return fork.reply(INTERRUPT_GRACE_SECONDS)
     except (CallEnded, KeyboardInterrupt) as ended:
         if not interrupted and fork.process.exitcode != INTERRUPTED:
-            print(f"the candidate ended the process, and nothing is judged: {ended}", file=sys.stderr)
+            many = words[0] == "validate" and not any(word.startswith("--engine") for word in words)
+            hint = "\nwith --engine dask -j 1 it ends one scene, and the others are judged" if many else ""
+            print(f"the candidate ended the process, and nothing is judged: {ended}{hint}", file=sys.stderr)
             return DIFFERENCES
         if fork.process.exitcode != INTERRUPTED:
             print("interrupted: the candidate did not end, and was killed", file=sys.stderr)

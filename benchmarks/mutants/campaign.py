@@ -57,7 +57,7 @@ PLAIN = {
         error_bounds_of_kernels error_models exact_kernels explanations fuzz generated_meshes
         geometry_checked_in_both_precisions independent_transform judge_at_extremes knife_edges known_defects
         lambert_and_shadow_rays mesh_files mesh_normals plan primitive_properties quadric_normals ray_bounds
-        ray_camera ray_sorting registries rejected_faces scene_docs scene_errors scene_files scene_lights
+        ray_camera registries rejected_faces scene_docs scene_errors scene_files scene_lights
         scene_locate scene_model scene_numbers screen_bounds sliver_normals sphere_clouds stated_numbers tiles
         transform
     """,

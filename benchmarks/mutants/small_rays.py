@@ -1,6 +1,5 @@
 """tests/agreement on rays that plain Python casts in a second: trees and fans find what brute force finds."""
 
-import math
 import sys
 from pathlib import Path
 
@@ -11,7 +10,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "agreement")
 from hard_rays import hard_rays
 from random_scenes import name, random_scene
 from same_bits import assert_same_bits
-from test_ray_fans import from_point, points, to_point
+from test_ray_fans import from_point, points
 from test_shadow_fans import COUNT as SHADOW_RAYS
 from test_shadow_fans import lights, shadow_rays, tile_of
 
@@ -20,10 +19,11 @@ from caster.geometry.packing import packed
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import T, lane
+from caster.kernels.raster.tile import WIDTH, T, lane
+from caster.rendering import ray_fans
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.hits import validated_rays
-from caster.rendering.ray_fans import SAMPLED_RAYS
+from caster.rendering.ray_fans import SAMPLED_RAYS, RayRows
 from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
@@ -32,7 +32,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 PAIRS = ("cube", "sphere"), ("triangle", "disk"), ("icosphere", "cylinder"), ("rectangle", "triangle")
 LIGHTS = 8  # of `lights`
 RAYS = 48 // LANES * LANES
-COMMON = "from a point", "to a point", "in one direction"
 
 
 def two_kinds(number):
@@ -42,34 +41,28 @@ def two_kinds(number):
     return packed(random_scene(rng, chosen, Pinhole, count=LEAF_SIZE + 2)), rng
 
 
+@pytest.fixture
+def as_rows(monkeypatch):
+    """Few rays from one point are cast as rows, too."""
+    monkeypatch.setattr(ray_fans, "MIN_RAYS_IN_ROWS", SAMPLED_RAYS)
+    monkeypatch.setattr(ray_fans, "MIN_SHARE_IN_VIEW", 0.0)
+    monkeypatch.setattr(ray_fans, "PRIMITIVES_PER_RAY_IN_ROWS", 1e9)
+    monkeypatch.setattr(ray_fans, "find_rows", lambda rays: RayRows(0, WIDTH, len(rays.o) // WIDTH))
+
+
 @pytest.mark.parametrize(("place", "pair"), [(0, 3), (1, 1), (2, 3), (3, 1)])  # others have many faces
-@pytest.mark.parametrize("common", COMMON)
-def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(common, place, pair):
-    """Some of them, but for those that are sampled, lead elsewhere."""
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_rays_of_one_point_find_as_fans_what_brute_force_finds(place, pair, elsewhere, as_rows):
+    """Some of them, but for those that are sampled, come from elsewhere."""
     arrays, rng = two_kinds(pair)
-    p = list(points(arrays, rng, 1.0))[place]
-    if common == "from a point":
-        rays = from_point(p, arrays, rng, 1.0)
-    else:
-        rays = to_point(p, arrays, rng, 1.0, ("float64", "float32", "unit")[place % 3])
-    rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
-    if common == "in one direction":
-        rays.d[:], rays.t_max[:] = rays.d[place], math.inf
+    rays = from_point(list(points(arrays, rng, 1.0))[place], arrays, rng, 1.0)
+    rays = Rays(*(a[:WIDTH] for a in rays))
+    if elsewhere:
+        strays = np.setdiff1d(np.arange(WIDTH), np.linspace(0, WIDTH - 1, SAMPLED_RAYS).astype(int))
+        rays.o[strays] = rays.o[0] - 2.0 * rays.d[strays]
     slow = find_nearest(arrays, rays, "brute-force", 1)
-    if common == "from a point":
-        fast = find_nearest(arrays, rays, threads=1, always_fans=True)
-        assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, common)
-    assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()
-
-
-def test_a_ray_from_elsewhere_is_not_cast_as_of_the_common_origin():
-    arrays, rng = two_kinds(3)
-    rays = from_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0)
-    rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
-    unsampled = np.setdiff1d(np.arange(len(rays.o)), np.linspace(0, len(rays.o) - 1, SAMPLED_RAYS).astype(int))
-    rays.o[unsampled] = rays.o[0] - 2.0 * rays.d[unsampled]
-    slow = find_nearest(arrays, rays, "brute-force", 1)
-    assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()
+    fast = find_nearest(arrays, rays, threads=1)
+    assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, f"place {place}")
 
 
 @pytest.mark.parametrize("number", range(LIGHTS * len(PAIRS)))

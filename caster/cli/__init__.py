@@ -47,19 +47,11 @@ COMMANDS = (
     ),
     Command(
         "preview",
-        "show AOVs or class maps of an EXR file as a PNG image",
+        "show an AOV or the class map of an EXR file as a PNG image",
         f"{_HERE}.viewing",
         run="preview",
         arguments="add_preview_arguments",
-        example="caster preview ours.exr --aov depth,normal -o ours.png",
-    ),
-    Command(
-        "sheet",
-        "render scene files as thumbnails on one labelled sheet",
-        f"{_HERE}.viewing",
-        run="sheet",
-        arguments="add_sheet_arguments",
-        example="caster sheet scenes -o sheet.png --columns 9",
+        example="caster preview ours.exr --aov normal -o ours.png",
     ),
     Command(
         "6837",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import re
+import signal
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -67,6 +68,8 @@ def main(
     code = run_command(run)
     if code == INTERRUPTED and argv is None:
         end_process()  # threads may still be in compiled code, for which Python would wait
+    if argv is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the end of the process without a traceback
     return code
 
 

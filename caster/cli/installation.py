@@ -34,7 +34,7 @@ PACKAGES = (
     Package("numpy", "numpy", "2.0", "every array"),
     Package("numba", "numba", "0.68", "speed: compiled kernels, the same bits", needed=False),
     Package("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
-    Package("pillow", "PIL", "10.1", "PNG and TGA images: previews, sheets, caster 6837", needed=False),
+    Package("pillow", "PIL", "10.1", "PNG and TGA images: previews, caster 6837", needed=False),
     Package("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),
     Package("rich", "rich", "13.7", "progress bars on a terminal"),
     Package("trimesh", "trimesh", "4.6", "mesh files STL, OFF and glTF", needed=False),

@@ -7,7 +7,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-__all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "error_prefix", "join_words", "suggestion"]
+__all__ = [
+    "Diagnostic",
+    "FileMissing",
+    "SceneError",
+    "diagnostics_of",
+    "error_prefix",
+    "field_error",
+    "join_words",
+    "suggestion",
+]
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError

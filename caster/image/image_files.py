@@ -1,4 +1,4 @@
-"""Reading and writing PNG and TGA files, and text labels."""
+"""Writing PNG and TGA files."""
 
 from __future__ import annotations
 
@@ -47,18 +47,3 @@ def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> byt
     out = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(out, kind, **options)
     return out.getvalue()
-
-
-def label_image(text: str, width: int, height: int) -> Array:
-    """An image of one line of text, centred and shortened to fit, (height, width, 3) bytes."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    font: Any = ImageFont.load_default(round(0.7 * height))  # with a size, Pillow's own TrueType font
-    while len(text) > 1 and font.getlength(text) > width - 4:
-        text = text.rstrip("…")[:-1] + "…"
-    image = Image.new("RGB", (width, height), BACKGROUND)
-    ImageDraw.Draw(image).text((width / 2, height / 2), text, fill=TEXT_COLOR, font=font, anchor="mm")
-    return np.asarray(image)
-
-
-BACKGROUND, TEXT_COLOR = (255, 255, 255), (30, 30, 30)

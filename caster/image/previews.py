@@ -1,8 +1,8 @@
-"""Previews of AOVs and EXR files: false colours for each kind of AOV, and labelled sheets."""
+"""Previews of AOVs and EXR files: false colours for each kind of AOV."""
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -13,7 +13,6 @@ from caster.description.errors import SceneError, suggestion
 from caster.image.channels import channels_to_aovs
 from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
-from caster.image.image_files import BACKGROUND, label_image
 
 __all__ = ["aov_view"]
 
@@ -172,37 +171,17 @@ COLORINGS: Mapping[str, Coloring] = {
 }
 
 
-# ---- sheets ----
-
-GAP_PIXELS = 4  # between the images of a sheet
-LABEL_PIXELS = 18  # height of a label
-
-
-def sheet(images: Sequence[LabelledImage], columns: int) -> Array:
-    """A grid of images, (h, w, 3) bytes: each centred in its cell above its name."""
-    columns = min(columns, len(images))
-    height = max(each.pixels.shape[0] for each in images) + LABEL_PIXELS
-    width = max(each.pixels.shape[1] for each in images)
-    rows = -(-len(images) // columns)
-    size = rows * (height + GAP_PIXELS) - GAP_PIXELS, columns * (width + GAP_PIXELS) - GAP_PIXELS, 3
-    grid = np.full(size, BACKGROUND, np.uint8)
-    for i, image in enumerate(images):
-        y, x = i // columns * (height + GAP_PIXELS), i % columns * (width + GAP_PIXELS)
-        h, w, _ = image.pixels.shape
-        top, left = y + (height - LABEL_PIXELS - h) // 2, x + (width - w) // 2
-        grid[top : top + h, left : left + w] = image.pixels
-        grid[y + height - LABEL_PIXELS : y + height, x : x + width] = label_image(image.name, width, LABEL_PIXELS)
-    return grid
-
-
 # ---- EXR files ----
 
 CLASS_MAP = "class"  # the layer of an EXR file of verdicts or differences
 DEFAULT_PREVIEWS = ("diffuse", CLASS_MAP, "normal", "depth")  # the first of these that exists is shown by default
 
 
-def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[LabelledImage]:
-    """Images of AOVs and class maps of an EXR file. Raises FileMissing, UnreadableExr, SceneError."""
+def exr_image(path: str | PathLike[str], name: str | None) -> LabelledImage:
+    """The image of an AOV, or the class map, of an EXR file; None: of the first of DEFAULT_PREVIEWS that it has.
+
+    Raises FileMissing, UnreadableExr, SceneError.
+    """
     exr = read_exr(path)
     shape = next(iter(exr.channels.values())).shape
     mask, _ = hit_mask(exr.channels)
@@ -212,15 +191,12 @@ def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[Labelled
     known += [CLASS_MAP] if "class.I" in exr.channels else []
     if not known:
         raise SceneError(f"{path}: nothing to show: expected the channels of an AOV or class.I")
-    for name in names:
-        if name not in known:
-            raise SceneError(f"{path}: no '{name}' in it{suggestion(name, known)} (it has {', '.join(known)})")
-    aovs_and_mask = {**aovs, "hit": hit.astype(np.float64)}
-    default = next((name for name in DEFAULT_PREVIEWS if name in known), known[-1])
-    return [
-        _class_map(exr, hit) if name == CLASS_MAP else aov_view(name, aovs_and_mask[name], hit)
-        for name in names or [default]
-    ]
+    shown = next((each for each in DEFAULT_PREVIEWS if each in known), known[-1]) if name is None else name
+    if shown not in known:
+        raise SceneError(f"{path}: no '{shown}' in it{suggestion(shown, known)} (it has {', '.join(known)})")
+    if shown == CLASS_MAP:
+        return _class_map(exr, hit)
+    return aov_view(shown, hit.astype(np.float64) if shown == "hit" else aovs[shown], hit)
 
 
 def _class_map(exr: Exr, hit: Array) -> LabelledImage:

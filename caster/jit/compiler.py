@@ -6,12 +6,13 @@ module loads Numba, so it is imported when the first kernel is compiled.
 """
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import llvmlite.binding as llvm
 from numba.core import codegen, compiler, cpu, dispatcher, registry, target_extension, types, typing
 from numba.core.compiler_lock import require_global_compiler_lock
+from numba.core.types.misc import unliteral
 from numba.core.typing import templates
 
 TARGET = "caster"
@@ -93,6 +94,11 @@ class KernelDispatcher(dispatcher.Dispatcher):
 
     targetdescr = KernelTarget(TARGET)
 
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """As in Numba, which would compile a function once more for each constant that it is called with."""
+        named = {name: unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_template([unliteral(kind) for kind in args], named)
+
     def add_overload(self, result: Any) -> None:
         if isinstance(result.entry_point, Entry):
             self.overloads[tuple(result.signature.args)] = result
@@ -110,9 +116,28 @@ def dispatcher_of(function: Callable[..., Any], options: dict[str, Any], *, from
     return KernelDispatcher(function, targetoptions=every, pipeline_class=compiler.Compiler)
 
 
+_DISPATCHERS: dict[tuple[Callable[..., Any], bool], Any] = {}
+
+
+def decorator_of_bodies(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """The decorator by which Numba makes dispatchers of bodies of overloaded functions.
+
+    It makes another one for each caller that is inlined or not. Those that state whether they are inlined themselves
+    are the same for all callers.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        if "forceinline" not in options:
+            return dispatcher_of(function, options)
+        key = function, options["forceinline"]
+        return _DISPATCHERS.get(key) or _DISPATCHERS.setdefault(key, dispatcher_of(function, options))
+
+    return decorate
+
+
 target_extension.target_registry[TARGET] = KernelClass
 target_extension.dispatcher_registry[KernelClass] = KernelDispatcher
-target_extension.jit_registry[KernelClass] = lambda **options: partial(dispatcher_of, options=options)
+target_extension.jit_registry[KernelClass] = decorator_of_bodies
 
 
 def register_intrinsic(stub: Callable[..., Any], definition: Callable[..., Any]) -> None:

@@ -321,8 +321,7 @@ class Generic:
         @wraps(self.stub)  # whose signature Numba reads
         def choose(*args: Any) -> Any:
             kind: Any = getattr(args[0], "instance_class", None)  # of a Numba type
-            body = bodies.get(kind, bodies.get(object))
-            return body.dispatcher if isinstance(body, Kernel) else body
+            return bodies.get(kind, bodies.get(object))
 
         numba.extending.overload(self.call, jit_options=self.options, strict=False)(choose)
 

@@ -143,17 +143,14 @@ def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int
     return boxes, links
 
 
-DEVIATION_SLACK = 8.0  # the factor that FAN_SLACK has, too
-
 FAN_REACH = 16.0
 """Rays belong to a fan if they start within so many times the largest coordinate of kinds with a tree."""
 
 
-def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
+def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float) -> list[Fan]:
     """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|.
 
-    One fan of parallel rays, or six of rays through a point. deviation: how far rays may pass the point, along an axis,
-    in addition to rounding.
+    One fan of parallel rays, or six of rays through a point.
     """
     if isinstance(light, DirectionalLight):
         return [parallel_fan(light.back, extent)]
@@ -165,7 +162,7 @@ def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float, d
     across = normalize_rows(np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])[None])[0]
     up = np.cross(forward, across)
     reach = FAN_REACH * max(extent, *map(abs, point))
-    slack = FAN_SLACK * (reach + extent) + DEVIATION_SLACK * deviation
+    slack = FAN_SLACK * (reach + extent)
     return [
         Fan(1.0, point, (0.0, 0.0, 0.0), vec3(x), vec3(y), vec3(sign * z), reach, slack)
         for z, x, y in ((forward, across, up), (across, up, forward), (up, forward, across))

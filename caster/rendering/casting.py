@@ -19,12 +19,10 @@ __all__ = ["Culling", "find_any", "find_nearest"]
 Culling = Literal["brute-force", "raster", "bvh"]
 
 
-def find_nearest(
-    packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None, *, always_fans: bool = False
-) -> Nearest:
-    """The nearest hit of any rays. always_fans: as fans, if they can be, even where that is slower: same bits."""
+def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
+    """The nearest hit of any rays."""
     trees = culling != "brute-force"
-    tiles = fan_tiles(packed, rays, False, threads, always=always_fans) if trees else None
+    tiles = fan_tiles(packed, rays, threads) if trees else None
     nearest, uncertain = _cast(packed, rays, threads, uses_bvh if trees else (lambda kind: False), tiles)
     rows = np.flatnonzero(uncertain)
     if len(rows):
@@ -47,13 +45,12 @@ def _cast(
     return nearest, uncertain
 
 
-def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_fans: bool = False) -> np.ndarray:
+def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
     count = len(rays.t_min)
     blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
-    tiles = fan_tiles(packed, rays, True, threads, always=always_fans)
-    for each in tiles or [tiles_in_order(TileCaster(packed, any_hit=True), count, threads)]:
-        each.cast(rays, lambda tile, numbers: store_blocked(tile, numbers, blocked, uncertain), threads)
+    tiles = tiles_in_order(TileCaster(packed, any_hit=True), count, threads)
+    tiles.cast(rays, lambda tile, numbers: store_blocked(tile, numbers, blocked, uncertain), threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0

@@ -98,7 +98,7 @@ class RayHits:
                 first, size = box[1] * WIDTH, (box[3] - box[1]) * WIDTH
                 numbers = np.arange(first, first + size, dtype=np.int32)
                 numbers[count - first :] = -1
-                load_rays(self.rays, numbers, tile, False, False)
+                load_rays(self.rays, numbers, tile)
                 for place, values in ((T, self.nearest.t), (PRIM, prim)):
                     here = values[first : first + size]
                     tile[int(place) : int(place) + len(here)] = here

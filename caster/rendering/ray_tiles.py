@@ -39,7 +39,7 @@ MIN_RAYS_PER_THREAD = 256
 UsesTree = Callable[[Kind], bool]
 Place = tuple[Kind, int]  # a kind, and the place of its first primitive
 
-ALL_PACKETS = np.empty(0, np.int8)  # none is left out
+ALL_PACKETS = np.empty(0, np.int64)  # none is left out; of the type of RayGroups.taken
 
 
 def kind_command(
@@ -68,9 +68,8 @@ FEW_PRIMITIVES = 1 << 14
 class TileCaster:
     """Casts the rays of tiles at all kinds of primitives.
 
-    any_hit: until each has hit anything. uses_tree: the kinds whose trees are traversed. light: where all rays end, or
-    with `outward` start; then kinds with a tree and few enough primitives for so many `rays` are cast at as fans, by
-    which a point light may be missed by `deviation` (`fans_to`).
+    any_hit: until each has hit anything. uses_tree: the kinds whose trees are traversed. light: where all any-hit rays
+    end, or all others start; then kinds with a tree and few enough primitives for so many `rays` are cast at as fans.
     """
 
     def __init__(
@@ -81,11 +80,9 @@ class TileCaster:
         uses_tree: UsesTree = uses_bvh,
         light: PointLight | DirectionalLight | None = None,
         rays: int = 0,
-        outward: bool = False,
-        deviation: float = 0.0,
     ) -> None:
         most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE)) if light is not None else -1
-        self._any_hit, self._outward = any_hit, outward
+        self._any_hit = any_hit
         self._fans: list[Fan] = []
         self._without_trees: list[Place] = []
         self._kinds: list[Place] = []
@@ -97,7 +94,7 @@ class TileCaster:
         if light is not None and self._kinds:
             center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
             extent = max(kind.extent for kind, _ in self._kinds)
-            self._fans = fans_to(light, center, extent, deviation)
+            self._fans = fans_to(light, center, extent)
         self._bounds: dict[tuple[int, int], FanBounds] = {}
         self._lock = threading.Lock()
 
@@ -146,10 +143,10 @@ class TileCaster:
     ) -> Iterator[Command]:
         """Cast the rays that the fan of that number takes."""
         fan = self._fans[number]
-        yield command(group_rays, fan, tile, LINES, groups, self._outward, when=when)
+        yield command(group_rays, fan, tile, LINES, groups, not self._any_hit, when=when)
         for n, (kind, base) in enumerate(self._kinds):
             about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
-            yield command(cast_fan, fan, *about, self._outward, self._any_hit, when=(groups.counts, 0))
+            yield command(cast_fan, fan, *about, not self._any_hit, when=(groups.counts, 0))
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """Casts rays that the first fan does not have, by the other ones, then through the tree."""
@@ -188,8 +185,6 @@ class RayTiles(NamedTuple):
     pieces: Sequence[Piece]  # a tile each
     # the ray at each place of a piece's tile, (m,) int32, -1 for none; m a multiple of LANES, for fans of WIDTH
     numbers: Callable[[Piece], np.ndarray]
-    one_origin: bool = False  # all rays have the origin of the first
-    one_range: bool = False  # all have its t_min and t_max
 
     def cast(self, rays: Rays, store: Callable[[np.ndarray, np.ndarray], None], threads: int | None) -> None:
         """store(tile, numbers) keeps the answers of each tile."""
@@ -202,7 +197,7 @@ class RayTiles(NamedTuple):
 
             def work(piece: Piece) -> None:
                 numbers = self.numbers(piece)
-                load_rays(rays, numbers, tile, self.one_origin, self.one_range)
+                load_rays(rays, numbers, tile)
                 cast(len(numbers))
                 store(tile, numbers)
 

@@ -1,6 +1,5 @@
 """Compile kernels ahead, by rendering small films of all kinds of primitives before all cameras."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import count
 from typing import Any, NamedTuple, get_args
@@ -18,11 +17,10 @@ from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
-from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_any, find_nearest
+from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_any
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
-from caster.rendering.ray_fans import SAMPLED_RAYS
 from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Diffuse, Directional, Point, Scene
@@ -69,8 +67,7 @@ def _warm_one(scene: Scene) -> None:
     render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
     for trees in (True, False):
         warm_decisions(small, BVH_MIN_RAYS + 1, trees)
-    _warm_shadows(packed(small), small)
-    _warm_fans(packed(small))
+    _warm_rays(packed(small))
 
 
 def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
@@ -119,32 +116,20 @@ def _few_of_each_kind() -> dict[type, list[Any]]:
     return found
 
 
-def _warm_shadows(packed: Packed, scene: Scene) -> None:
-    """The kernels of shadow rays, which small films may not need; some rays start too far away for a fan."""
+def _warm_rays(packed: Packed) -> None:
+    """The kernels of shadow rays and of rays from elsewhere, which small films may not need.
+
+    Some shadow rays start too far away for a fan.
+    """
     o = np.zeros((WIDTH, 3))
     o[LANES:] = 2.0**100
-    rays = Rays(o, np.ones((WIDTH, 3)), np.zeros(WIDTH), np.ones(WIDTH))
-    tile = new_tile()
-    for light in scene.lights:
-        if light.type != "ambient":
-            load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile, False, False)
-            caster = TileCaster(packed, any_hit=True, light=light.pack(), rays=MAX_PRIMITIVES)
-            caster.begin(tile, new_ray_groups())(WIDTH)
+    rays, tile = validated_rays(o, np.ones((WIDTH, 3)), 0.0, 1.0), new_tile()
+    find_any(packed, rays, threads=1)
+    load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile)
+    caster = TileCaster(packed, any_hit=True, light=LAMPS[0].pack(), rays=MAX_PRIMITIVES)
+    caster.begin(tile, new_ray_groups())(WIDTH)
     for kind in packed.kinds:
         cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
-
-
-def _warm_fans(packed: Packed) -> None:
-    """The kernels of ray arrays that start or end at one point, in rows or any order, or are parallel."""
-    count = SAMPLED_RAYS
-    origin, d = np.zeros((count, 3)), np.ones((count, 3)) + 0.01 * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
-    outward = Rays(origin, d, np.zeros(count), np.ones(count))
-    parallel = Rays(d, np.ones((count, 3)), np.zeros(count), np.full(count, np.inf))
-    for rays in (outward, Rays(d, -d, np.zeros(count), np.ones(count)), parallel):
-        find_nearest(packed, rays, threads=1, always_fans=True)
-        for always_fans in (False, True):
-            find_any(packed, rays, threads=1, always_fans=always_fans)
-    validated_rays(origin, d, 0.0, math.inf)
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

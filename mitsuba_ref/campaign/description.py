@@ -1,11 +1,13 @@
 """Campaign files: what is judged, over which parameters and seeds, whose answers, and for how long."""
 
+import os
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from caster.description.errors import SceneError, diagnostics_of, suggestion
+from caster.cli.shared_arguments import scene_files
+from caster.description.errors import FileMissing, SceneError, diagnostics_of, field_error, suggestion
 from caster.description.fields import Count, Description, Index, Positive
 from caster.description.input_files import read_text
 from caster.description.parsing import Positions, located_error, parse
@@ -14,6 +16,7 @@ from mitsuba_ref.fuzz.fuzz_run import RAYS_PER_EXAMPLE
 from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.random_families import FILMS
 from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.subjects.subject import DEFAULT_SECONDS
 
 Size = tuple[Pixels, Pixels]  # width and height of a film, pixels
@@ -38,6 +41,14 @@ class Contender(Description):
     precision: Literal["float32", "float64"] | None = None
     timeout: Positive = DEFAULT_SECONDS  # of a program, seconds
     files: tuple[str, ...] = ()  # further files that its answers depend on
+
+    @model_validator(mode="after")
+    def _is_named_and_has_a_candidate(self) -> Self:
+        if not self.name:
+            raise field_error("may not be empty", "name")
+        if self.candidate is None and (without := self.model_fields_set - {"name"}):
+            raise field_error("needs a candidate, which it is about", min(without))
+        return self
 
     def words(self) -> tuple[str, ...]:
         """Its options on a command line."""
@@ -70,6 +81,28 @@ class SceneJob(Job):
     scenes: Names  # files, folders, builtin:NAME, and builtin:SET or builtin:all
     sizes: tuple[Size, ...] = ()  # of films; none: the scenes' own
     bounces: Depth = 0
+
+    @field_validator("scenes")
+    @classmethod
+    def _are_files(cls, words: Names, info: ValidationInfo) -> Names:
+        """The files; absolute, so that keys and replays hold in every folder. info: the folder of the campaign file."""
+        found: list[str] = []
+        for i, word in enumerate(words):
+            try:
+                found += scene_files(_places(word, Path(info.context or "")))
+            except SceneError as error:
+                missing = isinstance(error, FileMissing)
+                raise field_error(f"names no scene: {error}", "scenes", i, missing_file=missing) from error
+        return tuple(scene_files(found))
+
+
+def _places(word: str, folder: Path) -> list[str]:
+    """Files and folders by a word of a campaign file. Raises SceneError."""
+    name = word.removeprefix(builtin_scenes.PREFIX)
+    if name == word:
+        return [os.path.abspath(folder / word)]
+    sets = (*builtin_scenes.SETS, builtin_scenes.ALL_SETS)
+    return builtin_scenes.folders_of(name) if name in sets else [builtin_scenes.scene_path(word, sets)]
 
 
 class FilmJob(Job):
@@ -133,7 +166,7 @@ def read_campaign(path: str) -> tuple[Campaign, str]:
     text = read_text(path, "campaign file")
     try:
         data = parse(text, kind, path)
-        return Campaign.model_validate(data), text
+        return Campaign.model_validate(data, context=Path(path).parent), text
     except ValidationError as error:
         problems = diagnostics_of(error, data, Campaign)
         raise located_error(problems, Positions(text, kind).of, text, path) from None

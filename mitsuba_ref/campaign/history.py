@@ -175,9 +175,15 @@ class History:
             database.execute("INSERT OR IGNORE INTO run_units VALUES (?, ?)", (run, unit.key))
 
     def end(self, run: int, state: str) -> None:
-        """Record how a run ended, for now."""
+        """Record how a run ended, for now; one that was interrupted before it computed anything is removed."""
         with self._writing() as database:
             database.execute("UPDATE runs SET state = ?, ended = ? WHERE id = ?", (state, now(), run))
+            if (
+                state == INTERRUPTED
+                and not database.execute("SELECT key FROM units WHERE computed_by = ?", (run,)).fetchone()
+            ):
+                database.execute("DELETE FROM run_units WHERE run = ?", (run,))
+                database.execute("DELETE FROM runs WHERE id = ?", (run,))
 
 
 ABOUT = ("code", "git", "machine", "campaign")

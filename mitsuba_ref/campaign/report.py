@@ -1,8 +1,10 @@
 """The report of a campaign: what is new since the last run, trends over runs, and the reference's own defects."""
 
+import contextlib
 import html
 import json
-from collections.abc import Iterable, Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ from mitsuba_ref.reference.store import key_of
 from mitsuba_ref.report.results import aligned, plural
 
 LISTED = 20  # of each list in text and on the page; the JSON has all
-FOLDER_SUFFIX = ".failures"  # of the folder of scenes, beside the history
+FOLDER_SUFFIX, NAME_DIGITS = ".failures", 12  # of the folder of scenes, beside the history, and of their names
 
 
 @dataclass(frozen=True)
@@ -53,14 +55,6 @@ class ReportedFailure:
 
 
 @dataclass(frozen=True)
-class Change:
-    """A unit whose counts are not those of the last run that had it."""
-
-    unit: str
-    counts: dict[str, tuple[float, float]]  # before and now
-
-
-@dataclass(frozen=True)
 class TrendPoint:
     """One subject and family in one run."""
 
@@ -68,6 +62,7 @@ class TrendPoint:
     units: int
     failing: int
     rays: int
+    agree: int  # of them
     rays_per_second: float
 
 
@@ -80,7 +75,6 @@ class CampaignReport:
     new: tuple[ReportedFailure, ...] = ()  # not in the last run that had the unit
     standing: tuple[ReportedFailure, ...] = ()  # there, too
     gone: tuple[ReportedFailure, ...] = ()  # there alone
-    changed: tuple[Change, ...] = ()
     trends: dict[str, tuple[TrendPoint, ...]] = field(default_factory=dict)
     defects: tuple[ReportedFailure, ...] = ()  # of the reference, each case once
 
@@ -91,15 +85,16 @@ class CampaignReport:
         return not self.new
 
 
-def report_of(history: History) -> CampaignReport:
-    """The report on the last run. Writes the scenes of its replays beside the history. Raises OutputError."""
-    runs = tuple(_summary(history, row) for row in history.rows("SELECT * FROM runs ORDER BY id"))
+def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
+    """The report on the last run, and the scene files that its replays name. Raises OutputError."""
+    scenes: dict[Path, str] = {}
+    runs = tuple(_runs(history))
     if not runs:
-        return CampaignReport(str(history.path), ())
+        return CampaignReport(str(history.path), ()), scenes
     last = runs[-1].run
     now = {row["name"]: row for row in history.units(last)}
-    before = {name: row for name, row in history.units_before(last).items() if name in now}
-    failures, earlier = (_failures(history, rows.values()) for rows in (now, before))
+    before = (row for name, row in history.units_before(last).items() if name in now)
+    failures, earlier = _failures(history, now.values()), _failures(history, before)
     wrong = {place: each for place, each in failures.items() if each["side"] == SUBJECT}
     was_wrong = {place: each for place, each in earlier.items() if each["side"] == SUBJECT}
     cases: dict[str, list[dict[str, Any]]] = {}
@@ -107,27 +102,54 @@ def report_of(history: History) -> CampaignReport:
         if each["side"] == REFERENCE:
             cases.setdefault(each["cause"], []).append(each)
     folder = history.path.with_suffix(FOLDER_SUFFIX)
-    return CampaignReport(
+
+    def reported(each: dict[str, Any]) -> ReportedFailure:
+        replay = each["replay"]
+        if each["scene"] and SCENE_PLACE in replay:
+            file = folder / f"{key_of([each['key'], each['cause']])[:NAME_DIGITS]}.toml"
+            scenes[file] = each["scene"]
+            replay = replay.replace(SCENE_PLACE, str(file))
+        return ReportedFailure(each["name"], each["grouped"], each["cause"], each["what"], each["times"], replay)
+
+    def of_case(found: list[dict[str, Any]]) -> ReportedFailure:
+        smallest = min(found, key=lambda each: (not each["scene"], len(each["scene"]), each["name"]))
+        return replace(reported(smallest), times=sum(each["times"] for each in found), units=len(found))
+
+    report = CampaignReport(
         str(history.path),
         runs,
-        tuple(_reported(each, folder) for place, each in wrong.items() if place not in was_wrong),
-        tuple(_reported(each, folder) for place, each in wrong.items() if place in was_wrong),
-        tuple(_reported(each) for place, each in was_wrong.items() if place not in wrong),
-        tuple(_changes(before, now)),
+        tuple(reported(each) for place, each in wrong.items() if place not in was_wrong),
+        tuple(reported(each) for place, each in wrong.items() if place in was_wrong),
+        tuple(reported(each | {"scene": ""}) for place, each in was_wrong.items() if place not in wrong),
         _trends(history),
-        tuple(_defect(found, folder) for _, found in sorted(cases.items())),
+        tuple(of_case(found) for _, found in sorted(cases.items())),
     )
+    return report, scenes
 
 
-def _summary(history: History, row: dict[str, Any]) -> RunSummary:
-    (sums,) = history.rows(
-        "SELECT count(*) AS units, total(computed_by = run) AS computed, total(failing > 0) AS failing, "
-        "total(rays) AS rays, total(hits) AS hits, total(agree) AS agree "
-        "FROM run_units JOIN units USING (key) WHERE run = ?",
-        row["id"],
-    )
-    about = (row["id"], row["state"], row["started"], row["git"], row["code"], json.loads(row["machine"]), row["units"])
-    return RunSummary(*about, *map(int, sums.values()))
+def keep_scenes(history: History, scenes: Mapping[Path, str]) -> None:
+    """Write the scenes of a report that are not there yet, and remove those of earlier ones. Raises OutputError."""
+    folder = history.path.with_suffix(FOLDER_SUFFIX)
+    for file, text in scenes.items():
+        with contextlib.suppress(OSError):
+            if file.read_text(encoding="utf-8") == text:
+                continue
+        check_folder(folder)
+        write_text(file, text)
+    for file in folder.glob("*.toml"):
+        if file not in scenes and re.fullmatch(rf"[0-9a-f]{{{NAME_DIGITS}}}", file.stem):
+            with contextlib.suppress(OSError):
+                file.unlink()
+
+
+def _runs(history: History) -> Iterator[RunSummary]:
+    for row in history.rows(
+        "SELECT runs.id AS run, state, started, git, code, machine, runs.units AS requested, count(key) AS units, "
+        "total(computed_by = runs.id) AS computed, total(failing > 0) AS failing, total(rays) AS rays, "
+        "total(hits) AS hits, total(agree) AS agree FROM runs LEFT JOIN run_units ON run = runs.id "
+        "LEFT JOIN units USING (key) GROUP BY runs.id ORDER BY runs.id"
+    ):
+        yield RunSummary(**row | {"machine": json.loads(row["machine"])})
 
 
 def _failures(history: History, units: Iterable[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:
@@ -140,44 +162,16 @@ def _failures(history: History, units: Iterable[dict[str, Any]]) -> dict[tuple[s
     return {(row["name"], row["side"], row["cause"]): row for row in rows if row["key"] in keys}
 
 
-def _reported(each: dict[str, Any], folder: Path | None = None) -> ReportedFailure:
-    replay = each["replay"]
-    if folder and each["scene"] and SCENE_PLACE in replay:
-        file = check_folder(folder) / f"{key_of([each['key'], each['cause']])[:12]}.toml"
-        write_text(file, each["scene"])
-        replay = replay.replace(SCENE_PLACE, str(file))
-    return ReportedFailure(each["name"], each["grouped"], each["cause"], each["what"], each["times"], replay)
-
-
-def _defect(found: list[dict[str, Any]], folder: Path) -> ReportedFailure:
-    """A case of the reference, with its smallest scene."""
-    smallest = min(found, key=lambda each: (not each["scene"], len(each["scene"]), each["name"]))
-    times = sum(each["times"] for each in found)
-    return replace(_reported(smallest, folder), times=times, units=len(found))
-
-
-NUMBERS = ("rays", "hits", "agree")
-
-
-def _changes(before: dict[str, dict[str, Any]], now: dict[str, dict[str, Any]]) -> Iterator[Change]:
-    for name, old in before.items():
-        counts = [{key: row[key] for key in NUMBERS} | json.loads(row["counts"]) for row in (old, now[name])]
-        names = dict.fromkeys([*counts[0], *counts[1]])
-        values = {key: (counts[0].get(key, 0), counts[1].get(key, 0)) for key in names}
-        if changed := {key: pair for key, pair in values.items() if pair[0] != pair[1]}:
-            yield Change(name, changed)
-
-
 def _trends(history: History) -> dict[str, tuple[TrendPoint, ...]]:
     found: dict[str, tuple[TrendPoint, ...]] = {}
     for row in history.rows(
-        "SELECT run_units.run, grouped, count(*) AS units, sum(failing > 0) AS failing, sum(rays) AS rays, "
-        "sum(seconds) AS seconds FROM run_units JOIN units USING (key) GROUP BY run_units.run, grouped"
+        "SELECT grouped, run, count(*) AS units, total(failing > 0) AS failing, total(rays) AS rays, "
+        "total(agree) AS agree, coalesce(round(sum(rays) / sum(seconds), 1), 0) AS rays_per_second "
+        "FROM run_units JOIN units USING (key) GROUP BY grouped, run ORDER BY grouped, run"
     ):
-        speed = round(row["rays"] / row["seconds"], 1) if row["seconds"] else 0.0
-        point = TrendPoint(row["run"], row["units"], row["failing"], row["rays"], speed)
-        found[row["grouped"]] = (*found.get(row["grouped"], ()), point)
-    return dict(sorted(found.items()))
+        group = row.pop("grouped")
+        found[group] = (*found.get(group, ()), TrendPoint(**row))
+    return found
 
 
 # ---- text ----
@@ -188,7 +182,8 @@ def as_text(report: CampaignReport) -> str:
     if not report.runs:
         return f"{report.history}: no run yet"
     *changes, wrong = (f"\n{title}\n{text}" if text else "" for title, text in _sections(report))
-    table = aligned([TREND_COLUMNS, *_trend_rows(report)], left=1)
+    rows = (_trend_row(group, each) for group, points in report.trends.items() for each in points)
+    table = aligned([TREND_COLUMNS, *rows], left=1)
     return "\n".join([summary(report), *filter(None, changes), "", *table, wrong])
 
 
@@ -196,7 +191,7 @@ def summary(report: CampaignReport) -> str:
     """The last run in a line."""
     last = report.runs[-1]
     numbers = f"{last.computed} computed by it, {last.rays} rays, {last.hits} hits"
-    failures = f"{last.failing} fail, {len(report.new)} new failures, {len(report.gone)} gone"
+    failures = f"{last.failing} fail, {plural(len(report.new), 'new failure')}, {len(report.gone)} gone"
     return f"run {last.run}, {last.state}: {last.units} of {plural(last.requested, 'unit')}, {numbers}; {failures}"
 
 
@@ -205,7 +200,6 @@ def _sections(report: CampaignReport) -> Iterator[tuple[str, str]]:
     lists = {"new failures": report.new, "failures gone": report.gone, "failures as before": report.standing}
     for title, failures in lists.items():
         yield f"{title}: {len(failures)}", _first(map(_failure_text, merged(failures)))
-    yield f"changed counts: {len(report.changed)}", _first(map(_change_text, report.changed))
     yield f"wrong answers of the reference: {len(report.defects)}", _first(map(_failure_text, report.defects))
 
 
@@ -231,18 +225,12 @@ def _failure_text(each: ReportedFailure) -> str:
     return "\n      ".join([f"  {each.cause}{many}: {each.unit}", *filter(None, more)])
 
 
-def _change_text(change: Change) -> str:
-    return f"  {change.unit}: {', '.join(f'{name} {old:g} -> {new:g}' for name, (old, new) in change.counts.items())}"
+TREND_COLUMNS = ("subject, kind and family", "run", "units", "fail", "rays", "agree", "rays/s")
 
 
-TREND_COLUMNS = ("subject, kind and family", "run", "units", "fail", "rays", "rays/s")
-
-
-def _trend_rows(report: CampaignReport) -> Iterator[tuple[str, ...]]:
-    for group, points in report.trends.items():
-        for each in points:
-            numbers = (each.run, each.units, each.failing, each.rays, round(each.rays_per_second))
-            yield group, *map(str, numbers)
+def _trend_row(group: str, each: TrendPoint) -> tuple[str, ...]:
+    numbers = (each.run, each.units, each.failing, each.rays, each.agree, round(each.rays_per_second))
+    return (group, *map(str, numbers))
 
 
 # ---- page ----
@@ -266,18 +254,12 @@ def as_html(report: CampaignReport) -> str:
 
 
 def _trends_html(report: CampaignReport) -> str:
-    head = ("subject, kind and family", "failing units", "", "rays/s", "", "units", "rays")
-    rows = []
+    """A row for each group: the numbers of the last run, and how two of them went."""
+    rows = ["".join(f"<th>{name}" for name in (*TREND_COLUMNS, "fail", "rays/s"))]
     for group, points in report.trends.items():
-        plots = []
-        for values in ([each.failing for each in points], [each.rays_per_second for each in points]):
-            plots += [f"{values[-1]:.0f}", _plot(values)]
-        cells = (html.escape(group), *plots, str(points[-1].units), str(points[-1].rays))
-        rows.append("".join(f"<td>{cell}</td>" for cell in cells))
-    heads = "".join(f"<th>{name}</th>" for name in head)
-    return (
-        f"<h2>trends over {plural(len(report.runs), 'run')}</h2><table><tr>{heads}</tr><tr>{'<tr>'.join(rows)}</table>"
-    )
+        plots = _plot([each.failing for each in points]), _plot([each.rays_per_second for each in points])
+        rows.append("".join(f"<td>{cell}" for cell in (*map(html.escape, _trend_row(group, points[-1])), *plots)))
+    return f"<h2>trends over {plural(len(report.runs), 'run')}</h2><table><tr>{'<tr>'.join(rows)}</table>"
 
 
 def _plot(values: Sequence[float]) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import shlex
 import sys
 import time
 from collections.abc import Generator
@@ -10,18 +11,18 @@ from pathlib import Path
 from typing import TextIO
 
 from caster.description.errors import SceneError, suggestion
-from caster.system.atomic_files import OutputError, write_text
+from caster.system.atomic_files import OutputError
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK, report_error
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.campaign.description import Campaign, read_campaign
 from mitsuba_ref.campaign.history import BUDGET, COMPLETE, INTERRUPTED, History
-from mitsuba_ref.campaign.report import as_html, as_text, report_of
+from mitsuba_ref.campaign.report import as_html, as_text, keep_scenes, report_of
 from mitsuba_ref.campaign.units import SUBJECT, Result, SubjectError, Unit, ended, run_unit, units_of
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.html_report import commit
-from mitsuba_ref.report.results import STANDARD_OUTPUT, plural, print_lines, write_result
+from mitsuba_ref.report.results import STANDARD_OUTPUT, plural, print_lines, write_output, write_result
 from mitsuba_ref.runner.engine import opened
 from mitsuba_ref.runner.verdict_files import code_hash
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS
@@ -45,7 +46,10 @@ class CampaignRun:
         rays = sum(row["rays"] for row in self.history.units(self.number))  # of an earlier call
 
         def record(result: Result) -> Result:
-            self.history.record(self.number, of_key[result.key], result)
+            unit = of_key[result.key]
+            alone = shlex.join(["mitsuba-ref", "campaign", self.file, "--unit", unit.name])
+            failures = tuple(each._replace(replay=each.replay or alone) for each in result.failures)
+            self.history.record(self.number, unit, result._replace(failures=failures))
             self.computed += 1
             return result
 
@@ -63,7 +67,7 @@ class CampaignRun:
                         raise outcome.error
                     result = outcome.result
                     if outcome.error:
-                        result = record(ended(unit, outcome.error, self.file))
+                        result = record(ended(unit, outcome.error))
                     rays += result.rays
                     yield result
             state = COMPLETE
@@ -85,9 +89,9 @@ def run(args: argparse.Namespace) -> int:
     file = Path(args.file)
     if file.suffix.lower() not in (".toml", ".json"):
         with History(file) as history:
-            return show(history, args)
+            return show(history, args, ran=False)
     campaign, text = read_campaign(args.file)
-    units = units_of(campaign, file.parent)
+    units = units_of(campaign)
     if not units:
         return report_error(f"{file}: nothing selected: an empty list leaves no unit", NOTHING_SELECTED)
     variants.require_variants()
@@ -96,6 +100,8 @@ def run(args: argparse.Namespace) -> int:
             raise SceneError(f"--{name}: not together with --unit, which leaves the history alone")
         return run_one(units, args.unit)
     kept = Path(args.history or file.with_suffix(HISTORY_SUFFIX))
+    if args.json == args.html == STANDARD_OUTPUT:
+        raise SceneError("--html -: expected a file, since the JSON goes to standard output")
     for option, path in (("--json", args.json), ("--html", args.html)):
         if path and Path(path).resolve() == kept.resolve():
             raise SceneError(f"{option} {path}: expected another file than the history, which it would replace")
@@ -114,23 +120,29 @@ def run(args: argparse.Namespace) -> int:
         finally:  # whatever ends the work, what is finished is kept
             print_lines(f"computed {running.computed}, {len(running.waiting) - running.computed} left", out)
             if not isinstance(sys.exc_info()[1], SceneError):  # a mistake, whose message comes last
-                code = show(history, args)
+                code = show(history, args, ran=True)
     return code
 
 
 def _stream(args: argparse.Namespace) -> TextIO:
-    """For text: standard error if the JSON goes to standard output."""
-    return sys.stderr if args.json == STANDARD_OUTPUT else sys.stdout
+    """For text: standard error if the JSON or the page goes to standard output."""
+    return sys.stderr if STANDARD_OUTPUT in (args.json, args.html) else sys.stdout
 
 
-def show(history: History, args: argparse.Namespace) -> int:
-    """Print the report on the last run and write its files; the exit code."""
-    found = report_of(history)
+def show(history: History, args: argparse.Namespace, *, ran: bool) -> int:
+    """Print the report on the last run and write its files; the exit code. ran: now, so that its scenes are kept."""
+    found, scenes = report_of(history)
+    try:
+        keep_scenes(history, scenes)
+    except OutputError as error:
+        if ran:
+            raise
+        print(f"without the scenes of replays: {error}", file=sys.stderr)
     print_lines(f"\n{as_text(found)}", _stream(args))
     if args.json:
         write_result(found, args.json)
     if args.html:
-        write_text(args.html, as_html(found))
+        write_output(as_html(found), args.html)
     if found.new or (args.strict and found.standing):
         return DIFFERENCES
     if not found.runs or not found.runs[-1].rays:
@@ -142,10 +154,11 @@ def run_one(units: list[Unit], name: str) -> int:
     """Run one unit in this process, without the history; 1 if it fails. Raises SceneError for an unknown name."""
     names = {unit.name: unit for unit in units}
     if name not in names:
-        raise SceneError(f"--unit {name!r}: the campaign has no such unit{suggestion(name, names)}")
+        hint = suggestion(name, names) or f"; the first of {len(names)} is '{units[0].name}'"
+        raise SceneError(f"--unit {name!r}: the campaign has no such unit{hint}")
     result = run_unit(names[name])
     counts = ", ".join(f"{key} {value:g}" for key, value in result.counts.items())
     print_lines(f"{name}: {result.rays} rays, {result.hits} hits, {result.agree} agree; {counts}")
     for each in result.failures:
-        print_lines(f"{each.side}: {each.cause} ({each.count}): {each.what}\n      replay: {each.replay}")
+        print_lines(f"{each.side}: {each.cause} ({each.times}): {each.what}\n      replay: {each.replay}")
     return DIFFERENCES if any(each.side == SUBJECT for each in result.failures) else OK

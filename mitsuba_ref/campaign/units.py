@@ -18,11 +18,10 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from caster.cli.shared_arguments import display_names, scene_files
+from caster.cli.shared_arguments import display_names
 from caster.description.errors import SceneError
 from caster.description.input_files import read_input
 from caster.rendering.threads import set_default_threads
-from caster.system.atomic_files import ScratchFolder
 from caster.system.cluster import CallEnded
 from mitsuba_ref.campaign.description import AnyJob, Campaign, Contender, FilmJob, FuzzJob, SceneJob
 from mitsuba_ref.fuzz.checks import answered_types
@@ -31,11 +30,9 @@ from mitsuba_ref.fuzz.fuzz_run import Drawing, Example
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_families import FILMS
-from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import AGREE, REFERENCE_WRONG, TIE, UNLISTED, SceneVerdict
 from mitsuba_ref.reference.store import PROCESSOR, key_of, machine
-from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.reproducers import reproducer, rows_by_case
 from mitsuba_ref.runner.engine import worker_identity
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of
@@ -79,7 +76,7 @@ class Failure(NamedTuple):
     cause: str
     what: str
     times: int = 1
-    replay: str = ""  # a command
+    replay: str = ""  # a command; "": the one that runs the unit alone
     scene: str = ""  # the text of the scene file it needs: one ray where possible
 
 
@@ -107,15 +104,12 @@ def _word(value: Any) -> str:
 # ---- the units of a campaign ----
 
 
-def units_of(campaign: Campaign, folder: Path) -> list[Unit]:
-    """All units; those of different jobs alternate, so that a budget cuts all alike. folder: that of the file.
-
-    Raises FileMissing, SceneError.
-    """
+def units_of(campaign: Campaign) -> list[Unit]:
+    """All units; those of different jobs alternate, so that a budget cuts all alike. Raises FileMissing, SceneError."""
     around = json.dumps(worker_identity(), sort_keys=True)
     own = {subject.name: _files_key(subject) for subject in campaign.subjects}
     found: dict[str, Unit] = {}
-    for turn in zip_longest(*(_parameters(job, campaign.seeds, folder) for job in campaign.jobs)):
+    for turn in zip_longest(*(_parameters(job, campaign.seeds) for job in campaign.jobs)):
         for job, each in zip(campaign.jobs, turn, strict=True):
             if each is None:
                 continue
@@ -130,11 +124,10 @@ def units_of(campaign: Campaign, folder: Path) -> list[Unit]:
     return list(found.values())
 
 
-def _parameters(job: AnyJob, seeds: tuple[int, ...], folder: Path) -> Iterator[tuple[dict[str, Any], str]]:
+def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str, Any], str]]:
     """Parameters of each unit of a job, and a hash of the files it reads."""
     if isinstance(job, SceneJob):
-        files = scene_files([place for word in job.scenes for place in _places(word, folder)])
-        for name, path in zip(display_names(files), files, strict=True):
+        for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
             inputs = _scene_key(path)
             for size, bounce in product(job.sizes or (None,), range(job.bounces + 1)):
                 yield {"scene": name, "path": path, "size": size, "bounce": bounce}, inputs
@@ -153,16 +146,6 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...], folder: Path) -> Iterator[t
         for seed, family, count in product(seeds, job.families, job.rays or (None,)):
             for value in job.values or BY_NAME[family].values:
                 yield {"seed": seed, "family": family, "value": value, "rays": count}, ""
-
-
-def _places(word: str, folder: Path) -> list[str]:
-    """Files and folders by a word of a campaign file."""
-    name = word.removeprefix(builtin_scenes.PREFIX)
-    if name == word:
-        return [os.path.abspath(folder / word)]  # so that keys and replays hold in every folder
-    if name in (*builtin_scenes.SETS, builtin_scenes.ALL_SETS):
-        return builtin_scenes.folders_of(name)
-    return [builtin_scenes.scene_path(word)]
 
 
 def _scene_key(path: str) -> str:
@@ -220,43 +203,34 @@ def subject_of(contender: Contender) -> Subject | None:
     return parse_candidate(contender.candidate, contender.precision, contender.timeout, served=contender.serve)
 
 
-def ended(unit: Unit, error: Exception, file: str) -> Result:
-    """The result of a unit whose process ended, or that raised an exception. file: of the campaign."""
+def ended(unit: Unit, error: Exception) -> Result:
+    """The result of a unit whose process ended, or that raised an exception."""
     cause = "crash" if isinstance(error, CallEnded) else "error"
-    replay = shlex.join(["mitsuba-ref", "campaign", file, "--unit", unit.name])
-    return Result(
-        unit.key, failures=(Failure(SUBJECT, cause, problem_of(error), 1, replay),), processor=machine()[PROCESSOR]
-    )
-
-
-def _run_scene(unit: Unit, subject: Subject | None) -> Result:
-    at = unit.parameters
-    size, bounce = at["size"] and tuple(at["size"]), at["bounce"]
-    words = [*unit.subject.words()]
-    if bounce:
-        words += [*(["--size", *map(str, size)] if size else []), "--bounces", str(bounce)]
-    entry = SceneEntry(at["scene"], at["path"], size, options=tuple(words), bounce=bounce)
-    found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
-    result = _of_verdict(found, "")
-    if found.ok or found.unsupported or result.failures:
-        return result
-    what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
-    return result._replace(failures=(Failure(SUBJECT, "evidence", what, 1, found.replay),))
+    return Result(unit.key, failures=(Failure(SUBJECT, cause, problem_of(error)),), processor=machine()[PROCESSOR])
 
 
 def _run_film(unit: Unit, subject: Subject | None) -> Result:
-    at = unit.parameters
-    family = FILMS if at["family"] == FILMS.name else BY_NAME[at["family"]]
-    made = Example(at["seed"], at["scene"], family).made
-    width, height = at["size"]
-    try:
-        scene = scene_of({**made.data, "film": {"width": width, "height": height}})
-    except (SceneError, ValidationError):  # beyond what scenes may have
-        return Result("", counts={"outside": 1})
-    words = (*unit.subject.words(), *(("--bounces", str(at["bounce"])) if at["bounce"] else ()))
-    entry = SceneEntry(unit.name, SCENE_PLACE, options=words, given=scene, bounce=at["bounce"])
+    """Judge a film: of a scene file, or of a random scene."""
+    at, drawn = unit.parameters, unit.kind == "films"
+    size, bounce = at["size"] and tuple(at["size"]), at["bounce"]
+    words = (*unit.subject.words(), *(("--bounces", str(bounce)) if bounce else ()))
+    if drawn:
+        family = FILMS if at["family"] == FILMS.name else BY_NAME[at["family"]]
+        film = dict(zip(("width", "height"), size, strict=True))
+        try:
+            scene = scene_of({**Example(at["seed"], at["scene"], family).made.data, "film": film})
+        except (SceneError, ValidationError):  # beyond what scenes may have
+            return Result("", counts={"outside": 1})
+        entry = SceneEntry(unit.name, SCENE_PLACE, options=words, given=scene, bounce=bounce)
+    else:
+        sized = ("--size", *map(str, size)) if size and bounce else ()  # a bounce has a film of its own
+        entry = SceneEntry(at["scene"], at["path"], size, options=(*sized, *words), bounce=bounce)
     found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
-    return _of_verdict(found, scene.to_toml())
+    result = _of_verdict(found, scene.to_toml() if drawn else "")
+    if drawn or found.ok or found.unsupported or result.failures:
+        return result
+    what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
+    return result._replace(failures=(Failure(SUBJECT, "evidence", what, 1, found.replay),))
 
 
 def _of_verdict(found: SceneVerdict, whole: str) -> Result:
@@ -321,10 +295,7 @@ def _run_fuzz(unit: Unit, subject: Subject | None) -> Result:
     for number in range(at["first"], at["first"] + at["examples"]):
         tally, findings = drawing.tried(number)
         total.add(tally)
-        given = {name: at[name.replace("-", "_")] for name in ("seed", "family", "rays", "judge-every")}
-        options = [word for name, value in given.items() for word in (f"--{name}", str(value))]
-        words = ["--examples", f"{number}..{number}", *options, *unit.subject.words()]
-        replay = shlex.join(["mitsuba-ref", "fuzz", *words])
+        replay = shlex.join(["mitsuba-ref", "fuzz", *drawing.words(number), *unit.subject.words()])
         failures += [Failure(SUBJECT, each.kind, each.what, 1, replay) for each in findings]
     rays = total.pixels if subject else total.rays
     counts = {name: value for name, value in asdict(total).items() if name not in ("kinds", "rays", "hits") and value}
@@ -332,28 +303,22 @@ def _run_fuzz(unit: Unit, subject: Subject | None) -> Result:
 
 
 def _run_stress(unit: Unit, subject: Subject | None) -> Result:
-    at, words = unit.parameters, unit.subject.words()
+    at, words, failures = unit.parameters, unit.subject.words(), list[Failure]()
     family = replace(BY_NAME[at["family"]], values=(at["value"],))
-    failures = list[Failure]()
-    with ScratchFolder() as folder:
-        swept = sweeps.sweep(family, at["seed"], at["rays"], subject, Path(folder), words)
-        if swept.declined:
-            return Result("", counts={"declined": 1})
-        (setting,) = swept.settings
-        for caster in swept.casters:
-            score, mine = setting.witnesses[caster.key], caster is swept.casters[0]
-            if isinstance(score, sweeps.Score) and score.breaks and (mine or caster in sweeps.REFERENCES):
-                ready = sweeps.prepare_setting(family, at["seed"], at["value"], at["rays"])
-                ray = score.first_wrong[0]
-                text = scene_of_ray(ready.scene, ready.o[ray], ready.d[ray]).to_toml()
-                replay = " ".join(["mitsuba-ref probe", SCENE_PLACE, "0 0", *map(shlex.quote, words if mine else ())])
-                side, cause = (SUBJECT, "wrong") if mine else (REFERENCE, f"{caster.title}: {family.name}")
-                failures.append(Failure(side, cause, score.example, score.wrong_masks + score.beyond, replay, text))
+    swept = sweeps.sweep(family, at["seed"], at["rays"], subject)
+    if swept.declined:
+        return Result("", counts={"declined": 1})
+    (setting,) = swept.settings
     own = setting.witnesses[swept.casters[0].key]
-    rays = ("--rays", str(at["rays"])) if at["rays"] else ()
-    again = shlex.join(["mitsuba-ref", "stress", family.name, "--seed", str(at["seed"]), *rays, *words])
+    for caster in swept.casters:
+        score = setting.witnesses[caster.key]
+        if isinstance(score, sweeps.Score) and score.breaks and (score is own or caster.variant):
+            side, cause = (SUBJECT, "wrong") if score is own else (REFERENCE, f"{caster.title}: {family.name}")
+            named = map(shlex.quote, words if score is own else ())
+            replay = " ".join(["mitsuba-ref probe", SCENE_PLACE, "0 0", *named])
+            failures.append(Failure(side, cause, score.example, score.wrong_masks + score.beyond, replay, score.scene))
     if not swept.ok and not any(each.side == SUBJECT for each in failures):  # no answer, or nothing to judge
-        failures.append(Failure(SUBJECT, "not judged", swept.problems[0], 1, again))
+        failures.append(Failure(SUBJECT, "not judged", swept.problems[0]))
     if not isinstance(own, sweeps.Score):
         return Result("", setting.rays, setting.exact.hits, 0, {}, tuple(failures))
     wrong = {"false hits": own.false_hits, "false misses": own.false_misses, "beyond": own.beyond}
@@ -362,7 +327,7 @@ def _run_stress(unit: Unit, subject: Subject | None) -> Result:
 
 
 RUNS: dict[str, Callable[[Unit, Subject | None], Result]] = {
-    "scenes": _run_scene,
+    "scenes": _run_film,
     "films": _run_film,
     "fuzz": _run_fuzz,
     "stress": _run_stress,

@@ -496,7 +496,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--judge-every", whole, help_, default=16)
     add("--replay", InputPath, "check kept scenes again, and nothing else", metavar="FILE|DIR")
     add("--rays", positive_int, "rays aimed at each scene; default: 40", default=40)
-    add_workers(add, "calls of four examples")
+    add_workers(add, "examples")
     add_engine(add)
     add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
 
@@ -512,7 +512,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     add_workers(add, "units")
     add_engine(add)
     add_json(parser)
-    add("--html", OutputFile, "write the report as a page")
+    add("--html", OutputFile, "write the report as a page; - is standard output")
     add_reference(parser)
 
 

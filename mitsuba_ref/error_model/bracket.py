@@ -102,7 +102,7 @@ class Bracket:
 
     def _batches(self, line: RaySegments, also: np.ndarray | None = None) -> Iterator[RayIntersections]:
         """Possible intersections of the rays, all of a ray in one batch. also: as in `judge`."""
-        near: Iterator[np.ndarray] = (np.stack(pairs[1:3]) for pairs in self.model.nearby.crossings(line.o, line.d))
+        near = self.model.near_pairs(line.o, line.d, ours=self.ours)
         if also is not None:
             named = np.flatnonzero(also >= 0)
             near = iter([np.unique(np.hstack([*near, np.stack([named, also[named]])]), axis=1)])

@@ -99,6 +99,9 @@ class ErrorModel(NamedTuple):
     exact: ExactKind  # exact arithmetic on our own primitive, for the oracle; boxes, also of stand-ins
     intersect_ours: IntersectFunction | None = None  # our own primitive, where the reference's is a stand-in
     uv: UvSpace = UvSpace()
+    # (prims) -> (m,): how far beyond each primitive a ray may pass and hit it by the reference's rounding, over the
+    # distance of its start; None: no farther than BOX_MARGIN
+    growth: Callable[[Any], np.ndarray] | None = None
 
 
 # Large arrays of vectors (m, 3) are stored column by column: over three neighbours, sums take NumPy four times as long

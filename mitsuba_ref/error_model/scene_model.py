@@ -104,6 +104,55 @@ class SceneModel:
         """Boxes of all primitives, shared by all brackets of the model."""
         return BoxTree(*self.boxes, BOX_MARGIN)
 
+    def near_pairs(self, o: np.ndarray, d: np.ndarray, *, ours: bool) -> Iterator[np.ndarray]:
+        """(2, m) pairs of a ray o + t d (n, 3) and a primitive that it may hit, in batches; those of a ray in one.
+
+        ours: as in intersect.
+        """
+        for batch, ray, prim, _ in self.nearby.crossings(o, d):
+            pairs = np.stack([ray, prim])
+            if len(self.blurred.prim) and not ours:
+                pairs = np.unique(np.hstack([pairs, *self._blurred_pairs(batch, o, d)]), axis=1)
+            yield pairs
+
+    @cached_property
+    def blurred(self) -> "BlurredPrimitives":
+        """Primitives that rays may hit in the reference although they pass their boxes by far."""
+        grown = [
+            (kind.ids, model.growth(arrays))
+            for kind, model, arrays in zip(self.packed.kinds, self.models, self.kinds, strict=True)
+            if model.growth
+        ]
+        prim, growth = (np.concatenate(each) for each in zip((np.zeros(0, int), np.zeros(0)), *grown, strict=True))
+        prim, growth = prim[growth > BOX_MARGIN], growth[growth > BOX_MARGIN]
+        low, high = (corner[prim] for corner in self.boxes)
+        return BlurredPrimitives(prim, 0.5 * (low + high), 0.5 * norm(high - low), growth)
+
+    @without_overflow_warnings
+    def _blurred_pairs(self, batch: slice, o: np.ndarray, d: np.ndarray) -> Iterator[np.ndarray]:
+        """(2, m) pairs of a ray of the batch and a blurred primitive whose sphere, with its growth, its line passes."""
+        length = norm(d[batch])[:, None]
+        for first in range(0, len(self.blurred.prim), BLURRED_PER_CHUNK):
+            prim, center, radius, growth = (a[first : first + BLURRED_PER_CHUNK] for a in self.blurred)
+            way = center - o[batch, None]
+            distance = np.linalg.norm(way, axis=2)
+            along = np.einsum("rpi,ri->rp", way, d[batch]) / length
+            off = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
+            ray, which = np.nonzero(~(off > radius + growth * distance))
+            yield np.stack([ray + batch.start, prim[which]])
+
+
+BLURRED_PER_CHUNK = 1 << 10  # tested at once with a batch of rays
+
+
+class BlurredPrimitives(NamedTuple):
+    """Primitives whose ErrorModel.growth is beyond BOX_MARGIN."""
+
+    prim: np.ndarray  # (m,)
+    center: np.ndarray  # (m, 3) of a sphere around each
+    radius: np.ndarray  # (m,)
+    growth: np.ndarray  # (m,)
+
 
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
 # the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. Primitives beyond it are

@@ -125,7 +125,6 @@ def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tall
     tally.edges += sum(answer.where != "inside" for answer in hits)
     tally.ties += sum(len(answer.prims) > 1 for answer in hits)
     tally.unbounded += int(np.isinf(verdicts.bounds).sum())
-    tally.worst = max(tally.worst, float(verdicts.ratios[np.isfinite(verdicts.ratios)].max(initial=0.0)))
     return [
         Finding(kind, what, rays.taken(slice(i, i + 1)))
         for i, (kind, what) in enumerate(zip(verdicts.kinds, verdicts.texts, strict=True))

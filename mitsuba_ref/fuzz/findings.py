@@ -58,14 +58,12 @@ class Tally:
     judged: int = 0  # scenes compared with Mitsuba; of a candidate, its ray lists as well
     pixels: int = 0  # of these
     declined: int = 0  # scenes and ray lists that a candidate declined
-    worst: float = 0.0  # largest error of t over its bound
     findings: int = 0
     kinds: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: "Tally") -> None:
         for name, value in vars(other).items():
-            mine = getattr(self, name)
-            setattr(self, name, max(mine, value) if name == "worst" else mine + value)
+            setattr(self, name, getattr(self, name) + value)
 
 
 def first_of_each_kind(findings: list[Finding]) -> list[Finding]:

@@ -4,9 +4,9 @@ import itertools
 import shlex
 import time
 import zlib
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -15,30 +15,26 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.system.cluster import CallEnded
-from caster.system.cluster import Outcome as CallOutcome
 from mitsuba_ref.fuzz.cases import case_of, write_kept
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answered_types, check_image, check_rays, exception_finding, find
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Failure, Finding, Outcome, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Shrinker
-from mitsuba_ref.hard import FAMILIES
+from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import Family, HardScene
 from mitsuba_ref.hard.random_parts import shape_types
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import prepared_scene
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
-from mitsuba_ref.runner.engine import LOCAL, Engine, opened
+from mitsuba_ref.runner.engine import LOCAL, opened
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
 
-RAYS_PER_EXAMPLE = 40  # before those with limits
+RAYS_PER_EXAMPLE, JUDGE_EVERY = 40, 16  # rays: before those with limits
 KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shrunk and kept; all are counted
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
-EXAMPLES_A_CALL = 4  # 0.1 s of CPU each
 ENDED = "the process that casts and judges ended"
 MITSUBA_SHRINK_ATTEMPTS = SHRINK_ATTEMPTS // 10  # each traces the scene with Mitsuba
-
-FAMILY_OF = {family.name: family for family in FAMILIES}
 
 # Random numbers of an example are independent for each of these purposes.
 SCENE_STREAM, AIM_STREAM, LIMIT_STREAM, MITSUBA_STREAM = range(4)
@@ -71,14 +67,23 @@ class Drawing:
     """What all examples of a run have in common; each is tried by itself, in any process."""
 
     seed: int = 0
-    families: tuple[str, ...] = tuple(family.name for family in FAMILIES)
-    judge_every: int = 16  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
+    families: tuple[str, ...] = tuple(BY_NAME)
+    judge_every: int = (
+        JUDGE_EVERY  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
+    )
     rays: int = RAYS_PER_EXAMPLE
     candidate: Subject | None = None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
     types: tuple[str, ...] = shape_types()  # of the shapes that the scenes keep
 
     def example(self, number: int) -> Example:
-        return Example(self.seed, number, FAMILY_OF[self.families[number % len(self.families)]], self.types)
+        return Example(self.seed, number, BY_NAME[self.families[number % len(self.families)]], self.types)
+
+    def words(self, number: int) -> tuple[str, ...]:
+        """The options of `fuzz` that try one example."""
+        family = self.example(number).family.name
+        more = {"rays": (self.rays, RAYS_PER_EXAMPLE), "judge-every": (self.judge_every, JUDGE_EVERY)}
+        chosen = (word for name, (value, usual) in more.items() if value != usual for word in (f"--{name}", str(value)))
+        return ("--seed", str(self.seed), "--family", family, "--examples", f"{number}..{number}", *chosen)
 
     def tried(self, number: int) -> tuple[Tally, list[Finding]]:
         """What was checked of an example, and one finding of each kind."""
@@ -101,9 +106,9 @@ class Drawing:
         return findings + (find(case, "judged", tally) if judged else [])
 
 
-def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[tuple[Tally, list[Finding]]]:
-    """Try examples in this process, one after the other."""
-    return [drawing.tried(number) for number in numbers]
+def try_example(drawing: Drawing, number: int) -> tuple[Tally, list[Finding]]:
+    """Try one example in this process."""
+    return drawing.tried(number)
 
 
 @dataclass
@@ -130,42 +135,27 @@ class FuzzRun:
         types = answered_types(self.subject)
         self.drawing = replace(self.drawing, types=types)
         self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
-        numbers = iter(self.numbers)
-        sent = deque[tuple[int, ...]]()
-
-        def batches() -> Iterator[tuple[Drawing, tuple[int, ...]]]:
-            while time.monotonic() < self.deadline and (batch := tuple(itertools.islice(numbers, EXAMPLES_A_CALL))):
-                sent.append(batch)
-                yield self.drawing, batch
-
-        with self._opened() as engine, closing(engine.map(try_examples, batches())) as outcomes:
-            for outcome in outcomes:
-                for number, tried in self._each(sent.popleft(), outcome):
-                    self._record(number, *tried)
-                    self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
-                    yield self.outcome
+        # A candidate, which may not bear forks or threads, runs in this process on its own.
+        here = self.drawing.candidate is not None and self.engine == LOCAL
+        numbers, again = itertools.tee(self.numbers)
+        calls = (
+            (self.drawing, each) for each in itertools.takewhile(lambda _: time.monotonic() < self.deadline, again)
+        )
+        with (
+            opened(self.engine, 1 if here else self.workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT, forks=not here) as engine,
+            closing(engine.map(try_example, calls)) as outcomes,
+        ):
+            for outcome, number in zip(outcomes, numbers, strict=False):
+                if isinstance(outcome.error, CallEnded):
+                    finding = Finding("crash", f"{ENDED}: {outcome.error}")
+                    self._record(number, Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
+                else:
+                    self._record(number, *outcome.value())
+                self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
+                yield self.outcome
                 if time.monotonic() >= self.deadline:
                     break
         self.outcome.interrupted = False
-
-    def _opened(self) -> AbstractContextManager[Engine]:
-        """The engine; a candidate, which may not bear forks or threads, runs in this process on its own."""
-        here = self.drawing.candidate is not None and self.engine == LOCAL
-        return opened(self.engine, 1 if here else self.workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT, forks=not here)
-
-    def _each(self, numbers: Sequence[int], found: CallOutcome) -> Iterator[tuple[int, tuple[Tally, list[Finding]]]]:
-        """The examples of a call; where its process ended, each is tried again alone, to find the one that ends it."""
-        if not isinstance(found.error, CallEnded):
-            yield from zip(numbers, found.value(), strict=True)
-            return
-        for number in numbers:
-            with self._opened() as engine, closing(engine.map(try_examples, [(self.drawing, (number,))])) as again:
-                ended = next(again)
-            if not isinstance(ended.error, CallEnded):
-                yield number, ended.value()[0]
-                continue
-            finding = Finding("crash", f"{ENDED}: {ended.error}")
-            yield number, (Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
 
     def _record(self, number: int, tally: Tally, findings: Sequence[Finding]) -> None:
         if not tally.examples:
@@ -184,12 +174,9 @@ class FuzzRun:
         judge = partial(find, kind=finding.kind, subject=self.subject)
         shrinker = Shrinker(case_of(tried.made.data), finding, judge, attempts, self.deadline + SHRINK_GRACE_S)
         drawn = case_of(tried.made.data, finding.ray)
-        seed, number, family = str(tried.seed), tried.number, tried.family.name
-        again = ["--seed", seed, "--family", family, "--examples", f"{number}..{number}"]
-        rays = self.drawing.rays
-        again += [] if rays == RAYS_PER_EXAMPLE else ["--rays", str(rays)]
-        found_by = shlex.join([*again, *self.options])
-        name = f"{finding.kind}-{family}-{seed}-{number}"
+        family = tried.family.name
+        found_by = shlex.join([*self.drawing.words(tried.number), *self.options])
+        name = f"{finding.kind}-{family}-{tried.seed}-{tried.number}"
         unshrunk = write_kept(self.folder / "unshrunk", name, finding, found_by, drawn, self.options)
         try:
             if not finding.what.startswith(ENDED):  # which would end this process

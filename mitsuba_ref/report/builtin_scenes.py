@@ -1,5 +1,6 @@
 """Scenes that are installed with the program, and their names on a command line: builtin:NAME."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from caster.description.errors import SceneError, suggestion
@@ -10,14 +11,17 @@ ROOT = Path(__file__).resolve().parents[1] / "runner" / "builtin"  # a folder fo
 PREFIX = "builtin:"
 
 
-def scene_path(name: str) -> str:
-    """The path of a scene named builtin:NAME; any other name is a path already. Raises SceneError."""
+def scene_path(name: str, sets: Sequence[str] = ()) -> str:
+    """The path of a scene named builtin:NAME; any other name is a path already. Raises SceneError.
+
+    sets: names that may stand there as well.
+    """
     if not name.startswith(PREFIX):
         return name
     wanted = name.removeprefix(PREFIX)
     files = {file.stem: str(file) for file in sorted(ROOT.glob("*/*.toml"))}
     if wanted not in files:
-        hint = suggestion(wanted, files) or f"; they are {', '.join(files)}"
+        hint = suggestion(wanted, [*files, *sets]) or f"; they are {', '.join([*files, *sets])}"
         raise SceneError(f"{name}: expected a built-in scene{hint}")
     return files[wanted]
 

@@ -37,10 +37,15 @@ def json_text(result: Any) -> str:
 
 def write_result(result: Any, file: str) -> None:
     """Write the JSON of a result. Raises OutputError."""
+    write_output(json_text(result), file)
+
+
+def write_output(text: str, file: str) -> None:
+    """Write a file, or to standard output for "-". Raises OutputError."""
     if file == STANDARD_OUTPUT:
-        sys.stdout.write(json_text(result))
+        sys.stdout.write(text)
     else:
-        write_text(file, json_text(result))
+        write_text(file, text)
 
 
 def libllvm() -> str:

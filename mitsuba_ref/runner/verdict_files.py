@@ -1,11 +1,14 @@
 """Verdicts of earlier runs: stored ones, found by a hash of all that they depend on, and verdict.json read back."""
 
+import hashlib
 import json
 import os
+import re
+from collections.abc import Collection
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -24,12 +27,58 @@ PACKAGES = ("caster", "mitsuba_ref")
 OUR_SETTINGS = ("CASTER_", "MITSUBA_", "NUMBA_")  # prefixes of environment variables that may matter
 
 
+# Of these modules a scene needs those of its shapes and camera, and what they import; of all others, every one.
+OF_KINDS = ("caster.shapes.", "caster.cameras.", "caster.kernels.", "mitsuba_ref.shapes.", "mitsuba_ref.cameras.")
+MODULE_NAME = re.compile(r"\b(?:caster|mitsuba_ref)(?:\.\w+)+")
+
+
+class Source(NamedTuple):
+    """A source file."""
+
+    digest: str
+    names: frozenset[str]  # of modules in it, also in text and comments
+
+
 @cache
-def code_hash() -> str:
-    """A hash of the source files of both packages."""
-    root = Path(__file__).resolve().parents[2]
-    sources = [path for package in PACKAGES for path in sorted((root / package).rglob("*.py"))]
-    return key_of(part for path in sources for part in (path.relative_to(root).as_posix(), path.read_bytes()))
+def sources() -> dict[str, Source]:
+    """Every source file of both packages, by the name of its module."""
+    root, found = Path(__file__).resolve().parents[2], {}
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            data, name = path.read_bytes(), ".".join(path.relative_to(root).with_suffix("").parts)
+            found[name] = Source(hashlib.sha256(data).hexdigest(), frozenset(MODULE_NAME.findall(data.decode())))
+    return found
+
+
+def modules_for(scene: Scene) -> set[str]:
+    """The modules whose code may run when the scene is judged: all but those of other shapes and cameras.
+
+    A module of mitsuba_ref.shapes or .cameras may describe several kinds: it is needed if it names one of the scene's,
+    or none. The modules of the others are not followed from there, nor from where all kinds are registered.
+    """
+    known = sources()
+    kinds = {type(each).__module__ for each in (*scene.shapes, scene.camera)}
+    waiting = [*kinds, *(name for name in known if name.endswith("__init__") or not name.startswith(OF_KINDS))]
+    for name in (each for each in known if each.startswith(OF_KINDS[3:])):
+        described = {each for each in known[name].names if each in known and each.startswith(OF_KINDS[:2])}
+        waiting += [name] if described & kinds or not described else []
+    needed = set[str]()
+    while waiting:
+        name = waiting.pop()
+        if name in needed or name not in known:
+            continue
+        needed.add(name)
+        mine = name.startswith(OF_KINDS[3:])
+        if not name.endswith("__init__"):
+            waiting += [each for each in known[name].names if not (mine and each.startswith(OF_KINDS[:2]))]
+    return needed
+
+
+def code_hash(modules: Collection[str] | None = None) -> str:
+    """A hash of the source files of both packages, or of some modules."""
+    known = sources()
+    chosen = known if modules is None else sorted(modules)
+    return key_of(part for name in chosen for part in (name, known[name].digest))
 
 
 def verdict_key(scene: Scene, path: str, **about: Any) -> str:
@@ -47,7 +96,7 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
         return ""
     known = {
         "format": VERDICT_FORMAT,
-        "code": code_hash(),
+        "code": code_hash(None if about.get("thorough") else modules_for(scene)),
         "scene": scene.sha256(),  # mesh files by their bytes
         "path": path,  # replays name it
         "variant": variant,

@@ -27,7 +27,7 @@ from mitsuba_ref.error_model.intersections import (
     without_edges,
     without_float_warnings,
 )
-from mitsuba_ref.error_model.tolerances import K
+from mitsuba_ref.error_model.tolerances import KU, K
 from mitsuba_ref.oracle.exact_kinds import TRIANGLES
 
 # If the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
@@ -360,6 +360,24 @@ def intersect_round(
         p_error = position_error(o, d, t, t_error, ku) + pull * away
         found.append(without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error))
     return tuple(found)
+
+
+# A ray that starts at distance R from the centre starts at most size R from it in object space, size being the length
+# there of a direction along the shortest semi-axis. Its components are at most twice sqrt(3) of that, its overshoot at
+# most size R beyond. `intersect_round` finds it possible up to the distance 1 + error + sqrt(change) from the centre.
+COMPONENTS_PER_DISTANCE = 2.0 * math.sqrt(3.0)
+
+
+@without_float_warnings
+def growth_of_ellipsoids(prims: Any, *, float32: bool = False) -> np.ndarray:
+    """(m,) ErrorModel.growth of ellipsoids. float32: as in intersect_round."""
+    longest, _, shortest = np.linalg.svd(prims.to_world, compute_uv=False).T
+    size = 1.0 / shortest
+    beyond = np.maximum(size - 1.0, 1.0 - 1.0 / longest if float32 else 0.0)
+    off = KU * (beyond + COMPONENTS_PER_DISTANCE)
+    if float32:
+        off += math.sqrt(QUADRATIC_ROUNDINGS * KU) * beyond
+    return np.asarray(longest * size * off)
 
 
 # ---- uv of quadrics ----

@@ -6,14 +6,14 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import computed_field
+from pydantic import Field, computed_field
 from pydantic.dataclasses import dataclass
 
 from caster.rendering.hits import cast
-from caster.system.atomic_files import ScratchFolder, check_folder
+from caster.system.atomic_files import ScratchFolder, check_folder, write_text
 from caster.system.terminal import folded
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
@@ -25,7 +25,6 @@ from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
-from mitsuba_ref.report.reproducers import write_scene
 from mitsuba_ref.report.results import NOTHING, aligned, largest
 from mitsuba_ref.stress.origins import DEFAULT_RAYS, Absent, OriginSweep
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64, Answer, CastRequest, NoAnswer, Subject, Unsupported
@@ -136,6 +135,7 @@ class Score:
     first_wrong: tuple[int, ...] = ()  # the first rays that are wrong in any of these ways
     excused: int = 0  # other answers than the exact ones, which rounding allows
     example: str = ""  # the first wrong ray
+    scene: Annotated[str, Field(exclude=True)] = ""  # that ray as a scene file
     status: Literal["ok"] = "ok"
 
     @property
@@ -200,7 +200,7 @@ class Scorer:
         wrong[excused] = False
         all_wrong = answer.hit != self.hit
         all_wrong[self.rows] = wrong
-        errors = exact.errors(some.t)
+        errors, rays = exact.errors(some.t), np.flatnonzero(all_wrong)[:WRONG_RAYS_LISTED].tolist()
         return Score(
             false_hits=int(np.sum(all_wrong & answer.hit & ~self.hit)),
             false_misses=int(np.sum(all_wrong & ~answer.hit & self.hit)),
@@ -208,9 +208,12 @@ class Scorer:
             compared=int(np.isfinite(errors).sum()),
             worst=largest(ratio[np.isfinite(errors)]),
             error=largest(errors / self.unit),
-            first_wrong=tuple(np.flatnonzero(all_wrong)[:WRONG_RAYS_LISTED].tolist()),
+            first_wrong=tuple(rays),
             excused=len(excused),
-            example=self._ray_text(int(np.argmax(all_wrong)), answer) if all_wrong.any() else "",
+            example=self._ray_text(rays[0], answer) if rays else "",
+            scene=scene_of_ray(self.ready.scene, self.ready.o[rays[0]], self.ready.d[rays[0]]).to_toml()
+            if rays
+            else "",
         )
 
     def _ray_text(self, ray: int, answer: Answer) -> str:
@@ -231,8 +234,6 @@ class Scorer:
 # ---- sweeps
 
 JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
-
-Answers = Mapping[str, Answer | Absent]  # by caster
 
 
 @dataclass(frozen=True)
@@ -374,7 +375,7 @@ def sweep(
     seed: int,
     rays: int | None,
     candidate: Subject | None = None,
-    folder: Path = Path("stress-failures"),
+    folder: Path | None = None,
     words: Sequence[str] = (),
 ) -> SweepResult:
     """Sweep a family. The same seed and number of rays give the same result, except for the time.
@@ -382,41 +383,40 @@ def sweep(
     candidate: one that takes rays, judged in place of our caster. folder: for the first wrong ray of each setting;
     words: options that name the candidate, for replays.
     """
-    start = time.perf_counter()
+    start, casters = time.perf_counter(), BESIDE_CANDIDATE if candidate else CASTERS
     settings = [prepare_setting(family, seed, x, rays) for x in family.values]
-    casters: Sequence[Caster] = CASTERS
-    answers: list[Answers] = [{} for _ in settings]
-    if candidate:
-        casters = BESIDE_CANDIDATE[1:]
-        answers = [{CANDIDATE.key: ask_candidate(candidate, ready)} for ready in settings]
-        asked = [each[CANDIDATE.key] for each in answers]
-        declined = [each.why for each in asked if isinstance(each, Absent) and each.status == "not applicable"]
-        if len(declined) == len(settings):
-            return SweepResult.of(family, (), time.perf_counter() - start, declined[0])
+    given = [ask_candidate(candidate, ready) if candidate else None for ready in settings]
+    declined = [each.why for each in given if isinstance(each, Absent) and each.status == "not applicable"]
+    if candidate and len(declined) == len(settings):
+        return SweepResult.of(family, (), time.perf_counter() - start, declined[0])
     results = []
-    for ready, given in zip(settings, answers, strict=True):
-        results.append(found := score_setting(ready, casters, given))
-        subject = found.witnesses[CANDIDATE.key if candidate else CASTERS[0].key]
-        if isinstance(subject, Score) and subject.breaks:
-            ray, file = subject.first_wrong[0], check_folder(folder) / f"{family.name}-{ready.x:g}.toml"
-            head = f"mitsuba-ref stress: ray {ray} of {family.name}, {family.quantity} {ready.x:g}"
-            write_scene(file, scene_of_ray(ready.scene, ready.o[ray], ready.d[ray]), [head])
+    for ready, answer in zip(settings, given, strict=True):
+        results.append(found := score_setting(ready, casters, answer))
+        subject = found.witnesses[casters[0].key]
+        if folder and isinstance(subject, Score) and subject.breaks:
+            file = check_folder(folder) / f"{family.name}-{ready.x:g}.toml"
+            head = f"mitsuba-ref stress: ray {subject.first_wrong[0]} of {family.name}, {family.quantity} {ready.x:g}"
+            write_text(file, f"# {head}\n\n{subject.scene}")
             replay = shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words])
             results[-1] = replace(found, replay=replay)
     return SweepResult.of(family, results, time.perf_counter() - start)
 
 
-def score_setting(ready: PreparedSetting, casters: Sequence[Caster], given: Answers | None = None) -> SettingResult:
-    """Trace a setting by ours and Mitsuba's configurations and score their answers, after the given ones."""
-    answers: dict[str, Answer | Absent] = dict(given or {})
+def score_setting(
+    ready: PreparedSetting, casters: Sequence[Caster], given: Answer | Absent | None = None
+) -> SettingResult:
+    """Trace a setting by these casters and score their answers. given: the candidate's."""
+    answers: dict[str, Answer | Absent] = {CANDIDATE.key: given} if given else {}
     for each in casters:
-        answers[each.key] = trace_by_reference(each, ready) if each.variant else cast_by_bvh(ready)
+        if each is not CANDIDATE:
+            answers[each.key] = trace_by_reference(each, ready) if each.variant else cast_by_bvh(ready)
     missed = [~found.hit for found in answers.values() if not isinstance(found, Absent)]
     scorer = Scorer(ready, np.any(missed, axis=0))
-    traced = {each.key for each in REFERENCES}
     scores = {
-        key: found if isinstance(found, Absent) else scorer.score(found, reference=key in traced)
-        for key, found in answers.items()
+        each.key: found
+        if isinstance(found := answers[each.key], Absent)
+        else scorer.score(found, reference=bool(each.variant))
+        for each in casters
     }
     hits, count = int(scorer.hit.sum()), len(ready.o)
     ties = sum(len(answer.prims) > 1 for answer in scorer.exact.answers)

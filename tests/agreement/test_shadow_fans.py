@@ -61,9 +61,7 @@ def shadow_rays(light, arrays, rng, size):
 
 def tile_of(rays):
     tile = new_tile()
-    load_rays(
-        rays, np.append(np.arange(COUNT, dtype=np.int32), np.full(PIXELS - COUNT, -1, np.int32)), tile, False, False
-    )
+    load_rays(rays, np.append(np.arange(COUNT, dtype=np.int32), np.full(PIXELS - COUNT, -1, np.int32)), tile)
     return tile
 
 

@@ -110,7 +110,6 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster check FILE",
         "caster render FILE -o out/o.exr --explain",
         "caster probe FILE 3 3 --json",
-        "caster sheet FILE -o out/o.png --side 16",
         "mitsuba-ref rays FILE -o out/r.npz --kind features --count 20",
         "mitsuba-ref export FILE -o out/x",
         "mitsuba-ref compare in/image.exr in/other.exr --scene FILE",
@@ -126,9 +125,7 @@ READERS: dict[str, tuple[str, ...]] = {
     "in/scene.json": read_by(
         "caster check FILE", "caster render FILE -o out/o.exr", "caster doctor --warm FILE", "mitsuba-ref validate FILE"
     ),
-    "in/meshes.toml": read_by(
-        "caster check FILE", "caster check FILE --mesh-dir in", "caster sheet in -o out/o.png --side 4"
-    ),
+    "in/meshes.toml": read_by("caster check FILE", "caster check FILE --mesh-dir in"),
     "in/mesh.obj": read_by(
         "mitsuba-ref bench --list in/mesh.obj",
         "caster check in/obj.toml",

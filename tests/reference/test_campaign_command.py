@@ -1,6 +1,8 @@
 """The command `mitsuba-ref campaign`: continuing after a kill, crashes, new failures, budgets and exit codes."""
 
 import json
+import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -56,6 +58,7 @@ def kill(scene, o, d):
 def campaign(tmp_path, monkeypatch, capsys, warm, remembered):
     """Run a campaign of a text; (exit code, stdout, the report's JSON or None)."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "mine", raising=False)  # another test's, which workers would inherit
 
     def run(text, *more, name="c.toml"):
         Path(name).write_text(text)
@@ -84,18 +87,19 @@ def without_times(file):
 
 
 def test_every_kind_of_unit_is_judged_and_kept_and_nothing_is_computed_twice(campaign, capsys):
-    code, out, told = campaign(EVERY_KIND, "--html", "page.html")
+    code, out, told = campaign(EVERY_KIND)
     assert code == 0 and "5 units: 0 in the history, 5 to compute computed 5, 0 left" in out, out
     assert told["ok"] and [run["state"] for run in told["runs"]] == ["complete"]
     assert set(told["trends"]) == {"ours scenes", "ours films furnished", "ours fuzz edges", "ours stress tangency"}
     found = rows("c.history.sqlite", "SELECT kind, rays, hits, agree, failing FROM units")
     assert all(0 < hits <= rays and 0 < agree <= rays and not failing for _, rays, hits, agree, failing in found), found
-    assert "<svg" in Path("page.html").read_text()
     before = without_times("c.history.sqlite")
     code, out, told = campaign(EVERY_KIND)
     assert code == 0 and "5 in the history, 0 to compute computed 0, 0 left" in out and len(told["runs"]) == 1
     assert without_times("c.history.sqlite") == before
-    assert main(["campaign", "c.history.sqlite"]) == 0 and "run 1, complete: 5 of 5 units" in capsys.readouterr().out
+    assert main(["campaign", "c.history.sqlite", "--html", "-"]) == 0
+    told = capsys.readouterr()
+    assert "run 1, complete: 5 of 5 units" in told.err and "<svg" in told.out
 
 
 @pytest.mark.slow("four runs")
@@ -137,7 +141,7 @@ def test_a_unit_that_kills_its_process_is_one_row_and_the_others_finish(campaign
     assert subprocess.run(again, capture_output=True, check=False).returncode == -signal.SIGKILL
 
 
-def test_a_fault_of_a_candidate_is_new_then_as_before_and_gone_when_it_is_fixed(campaign):
+def test_a_fault_of_a_candidate_is_new_then_as_before_and_gone_when_it_is_fixed(campaign, capsys):
     text = '[[subject]]\nname = "mine"\ncandidate = "mine:trace"\n' + EVERY_KIND.replace("bounces = 1", "")
 
     def run(fault, *more):
@@ -151,9 +155,16 @@ def test_a_fault_of_a_candidate_is_new_then_as_before_and_gone_when_it_is_fixed(
     file = next(each["replay"] for each in told["new"] if "films" in each["unit"]).split()[2]
     assert Path(file).is_file()
     count = len(told["new"])
+    shutil.rmtree("c.history.failures")
+    Path("c.history.failures").touch()  # where nothing can be written
+    assert main(["campaign", "c.history.sqlite"]) == 1
+    assert "without the scenes of replays: " in capsys.readouterr().err
+    Path("c.history.failures").unlink()
     code, out, told = run(" * np.float32(1.010)")
     assert code == 0 and not told["new"] and len(told["standing"]) == count
     assert run(" * np.float32(1.010)", "--strict")[0] == 1
+    assert main(["campaign", "c.toml", "--unit", told["standing"][0]["unit"]]) == 1
+    assert re.search(r"\nsubject: .+ \(\d+\): ", capsys.readouterr().out)
     code, out, told = run("")
     assert code == 0 and "0 to compute" in out and len(told["gone"]) == count and len(told["runs"]) == 4
 
@@ -172,18 +183,20 @@ def test_a_budget_ends_the_run_and_the_next_call_goes_on(campaign):
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["no.toml"], 4, "no.toml"),
         (["no.sqlite"], 4, "no.sqlite: expected the history of a campaign, found no such file"),
-        (["c.toml", "--unit", "ours fuzz"], 2, "--unit 'ours fuzz': the campaign has no such unit"),
+        (
+            ["c.toml", "--unit", "ours fuzz"],
+            2,
+            "the campaign has no such unit; the first of 2 is 'ours fuzz seed=0 family=",
+        ),
+        (["c.toml", "--html", "-", "--json", "-"], 2, "--html -: expected a file, since the JSON"),
         (["empty.toml"], 5, "nothing selected"),
-        (["candidate.toml"], 2, "subject 'mine': --candidate 'nowhere:trace': there is no module nowhere"),
         (["vacuous.toml"], 5, "nothing judged"),
     ],
 )
 def test_mistakes_have_their_exit_codes(campaign, capsys, words, code, says):
     Path("c.toml").write_text(FUZZ.format(1))
     Path("empty.toml").write_text("seeds = []\n" + FUZZ.format(1))
-    Path("candidate.toml").write_text('[[subject]]\nname = "mine"\ncandidate = "nowhere:trace"\n' + FUZZ.format(1))
     Path("decline.py").write_text("def trace(scene, o, d):\n    raise NotImplementedError\n")
     job = '[[job]]\ntype = "scenes"\nscenes = ["builtin:scan"]\nsizes = [[4, 4]]\n'
     Path("vacuous.toml").write_text('[[subject]]\nname = "mine"\ncandidate = "decline:trace"\n' + job)
@@ -191,24 +204,26 @@ def test_mistakes_have_their_exit_codes(campaign, capsys, words, code, says):
     assert says in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize("option", ["--json", "--html"])
-def test_no_output_replaces_the_history(tmp_path, monkeypatch, capsys, option):
+def test_no_output_replaces_the_history(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    Path("c.toml").write_text('[[job]]\ntype = "fuzz"\nfamilies = ["edges"]\nexamples = 1\n')
+    Path("c.toml").write_text(FUZZ.format(1))
     Path("c.history.sqlite").write_bytes(b"kept")
-    assert main(["campaign", "c.toml", option, "c.history.sqlite"]) == 2
+    for option in ("--json", "--html"):
+        assert main(["campaign", "c.toml", option, "c.history.sqlite"]) == 2
+        assert "expected another file than the history" in " ".join(capsys.readouterr().err.split())
     assert Path("c.history.sqlite").read_bytes() == b"kept"
-    assert "expected another file than the history" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_mistake_is_told_last_and_unit_stands_alone(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    job = '[[job]]\ntype = "fuzz"\nfamilies = ["edges"]\nexamples = 1\n'
+    job = FUZZ.format(1)
     Path("c.toml").write_text(f'[[subject]]\nname = "s"\ncandidate = "nowhere:trace"\n{job}')
     assert main(["campaign", "c.toml", "-j", "1", "--json", "told"]) == 2
     told = capsys.readouterr()
-    assert "nothing judged" not in told.err and "there is no module nowhere" in told.err
+    assert "nothing judged" not in told.err
+    assert "subject 's': --candidate 'nowhere:trace': there is no module nowhere" in " ".join(told.err.split())
     assert "run 1" not in told.out and not Path("told").exists()
+    assert rows("c.history.sqlite", "SELECT * FROM runs") == []
     Path("d.toml").write_text(job)
     assert main(["campaign", "d.toml", "--unit", "x", "--json", "told"]) == 2
     assert "--json: not together with --unit" in " ".join(capsys.readouterr().err.split())

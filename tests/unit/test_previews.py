@@ -1,4 +1,4 @@
-"""Previews of AOVs: colours of known values, misses, broken values, sheets and files."""
+"""Previews of AOVs: colours of known values, misses, broken values and files."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,6 @@ from caster.image.image_files import IMAGE_FORMATS
 from caster.image.previews import (
     CHECKER_GREYS,
     COLORMAP_ANCHORS,
-    GAP_PIXELS,
-    LABEL_PIXELS,
     NON_FINITE_COLOR,
     aov_view,
     checkerboard,
@@ -147,8 +145,6 @@ def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, c
     [
         ("preview gone.exr", 4, "gone.exr: no such file"),
         ("preview s.toml -o p.png", 4, "s.toml: expected an EXR image"),
-        ("sheet gone", 4, "gone: expected a scene file or a folder of them, found nothing"),
-        ("sheet s.toml --aov deep", 2, "aov 'deep': unknown"),
     ],
 )
 def test_wrong_use_is_reported_with_its_exit_code(folder, capsys, words, code, says):
@@ -166,19 +162,8 @@ def test_an_aov_that_a_file_lacks_is_named(folder, capsys):
     assert "nothing to show" in capsys.readouterr().err
 
 
-def test_a_sheet_of_scenes_shows_each_in_its_size(folder, capsys):
-    (folder / "dark.toml").write_text(SCENE)
-    assert main(["sheet", ".", "s.toml", "-o", "all.png", "--side", "12", "--columns", "2"]) == 0
-    assert capsys.readouterr().out == "all.png: 2 scenes\n"
-    found = read_image("all.png")
-    assert found.shape == (8 + LABEL_PIXELS, 2 * 12 + GAP_PIXELS, 3)
-    assert len(np.unique(found[:8, :12].reshape(-1, 3), axis=0)) > 10  # normals: without lights, colours are black
-    (folder / "empty").mkdir()
-    assert main(["sheet", "empty"]) == 5
-
-
 def test_the_sheet_of_the_readme_shows_the_scenes_that_there_are():
-    """Made anew by: caster sheet scenes -o docs/scenes.png --columns 9"""
+    """Made anew by: python docs/scenes.py"""
     with Image.open(ROOT / "docs/scenes.png") as image:
         shown = image.text["Description"].split(", ")
     assert sorted(shown) == sorted(path.stem for path in (ROOT / "scenes").glob("*.toml"))

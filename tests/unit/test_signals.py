@@ -20,10 +20,13 @@ from caster.cli.application import Command, main
 from caster.system.atomic_files import ScratchFolder, atomic_write
 process.GRACE_SECONDS = 0.5
 def add_arguments(parser):
-    parser.add_argument("what", choices=("threads", "orderly"))
+    parser.add_argument("what", choices=("threads", "orderly", "done"))
 def endless():
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # without the interpreter's lock, and not to be interrupted
 def run(args):
+    if args.what == "done":
+        Path("ready").touch()
+        return 0
     with ScratchFolder(), atomic_write("out.txt"):
         Path("ready").touch()
         if args.what == "threads":
@@ -35,6 +38,7 @@ def run(args):
             Path("kept").touch()
 sys.modules["command"] = sys.modules["__main__"]
 main("program", "", [Command("go", "", "command")], {}, None)
+time.sleep(60)  # as the interpreter may wait for threads
 """
 
 
@@ -74,6 +78,14 @@ def test_a_second_signal_ends_the_command_at_once(tmp_path):
     child.send_signal(signal.SIGTERM)
     child.communicate(timeout=5.0)
     assert (child.returncode, time.monotonic() - begin < 0.4) == (130, True)
+
+
+def test_a_signal_after_the_command_shows_no_traceback(tmp_path):
+    child = started(tmp_path, "done")
+    time.sleep(0.3)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=5.0)
+    assert (child.returncode, err) == (-signal.SIGINT, "")
 
 
 def test_an_ignored_signal_stays_ignored(monkeypatch):

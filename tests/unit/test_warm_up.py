@@ -44,7 +44,7 @@ def little(monkeypatch):
     monkeypatch.setattr(warm_up, "WARM_UP_AOV_SETS", (("depth",),))
     monkeypatch.setattr(warm_up, "get_args", lambda culling: ("raster",))
     monkeypatch.setattr(warm_up, "warm_decisions", lambda *given: None)
-    monkeypatch.setattr(warm_up, "_warm_shadows", lambda packed, scene: None)
+    monkeypatch.setattr(warm_up, "_warm_rays", lambda packed: None)
     monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
 
 

@@ -24,7 +24,6 @@ from caster.kernels.math.lanes import (
     lanes_within_lines,
 )
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, row, scaled, sub
-from caster.kernels.nearest import any_hit_result
 from caster.kernels.protocol import Vec3, intersect, load, prepare
 from caster.kernels.raster.tile import (
     CACHE_LINE,
@@ -80,10 +79,8 @@ class Fan(NamedTuple):
 # the projection, and so is the sign of the third corner's: below 32 u (1 + |x|) perspective, since |x| <= FAN_LIMIT for
 # a ray's, or 64 u m parallel.
 #
-# Rays that are handed over (ray_sorting.py) end within a deviation of the point, and with them all of their points
-# within that of the segments to it: it is added to s, and 8 times it to the slack (DEVIATION_SLACK). Of rays that
-# start at the point exactly (`outward`), the projection is that of d: numerators are off by 3 u |d|, and so is the
-# depth, which is at least |d| / 3 where |x|, |y| <= FAN_LIMIT. Quotients are off by less than 40 u, less than
+# Of rays that start at the point exactly (`outward`), the projection is that of d: numerators are off by 3 u |d|, and
+# so is the depth, which is at least |d| / 3 where |x|, |y| <= FAN_LIMIT. Quotients are off by less than 40 u, less than
 # FAN_ROUNDING.
 FAN_SLACK = 128.0 * U
 FAN_ROUNDING = 64.0 * U
@@ -124,7 +121,7 @@ class RayGroups(NamedTuple):
 
     runs: Any  # flat, BOX_SIZE numbers a block
     blocks: Any  # flat, BOX_SIZE numbers a group
-    taken: Any  # (runs,) int8: 1 if a run has been cast, or has no ray; runs in rows of the tile
+    taken: Any  # (runs,) int64: 1 if a run has been cast, or has no ray; runs in rows of the tile
     counts: Any  # (2,) int64: runs that belong to the fan, and that are left
     found: Any  # int64: runs in which a primitive is to be tested
     stack: Any  # int32
@@ -395,13 +392,11 @@ def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
 
 
 @jit
-def cast_fan(
-    fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool, any_hit: bool
-) -> None:
+def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool) -> None:
     """Cast the runs that the fan has taken at a kind.
 
-    outward: all rays start at the fan's origin, and near nodes come first; else any certain hit ends the search of a
-    ray.
+    outward: all rays start at the fan's origin, nearest hits are found, and near nodes come first; else any certain hit
+    ends the search of a ray.
     """
     runs, blocks, stack, depths, found = groups.runs, groups.blocks, groups.stack, groups.depths, groups.found
     for group in range(GROUPS):
@@ -467,7 +462,6 @@ def cast_fan(
                     if outward:
                         for x in range(first, first + lane(LANES)):
                             t, error = intersect(prims, pre, get(tile, DX + x), tile[T_MIN + x], tile[T_MAX + x])
-                            t, error = any_hit_result(t, error, any_hit)
                             update_nearest(tile, x, prim_number, t, error)
                         depth = farthest_depth(tile, first, groups.stretch[found[n]])
                         runs[far + r] = -depth if depth >= 0.0 else math.inf

@@ -147,22 +147,19 @@ def clear_rays(tile: Any, start: int, stop: int) -> None:
 
 
 @jit
-def load_rays(rays: Any, numbers: Any, tile: Any, one_origin: bool, one_range: bool) -> None:
-    """Fill a tile with ray numbers[i] at place i; a negative number stands for no ray.
-
-    one_origin, one_range: all rays have the origin, or t_min and t_max, of the first, which then stays in a cache.
-    """
-    count, first = lane(len(numbers)), lane(0)
+def load_rays(rays: Any, numbers: Any, tile: Any) -> None:
+    """Fill a tile with ray numbers[i] at place i; a negative number stands for no ray."""
+    count = lane(len(numbers))
     for i in range(count):
         tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
     for i in range(count):
         k = lane(max(numbers[i], 0))
         put(tile, DX + i, (rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]))
     for i in range(count):
-        k = first if one_origin else lane(max(numbers[i], 0))
+        k = lane(max(numbers[i], 0))
         put(tile, OX + i, (rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]))
     for i in range(count):
-        k = first if one_range else lane(max(numbers[i], 0))
+        k = lane(max(numbers[i], 0))
         tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[k], rays.t_max[k] if numbers[i] >= 0 else -1.0
 
 
