@@ -115,11 +115,19 @@ def _sensor_rays(sensor: Any, variant: str) -> np.ndarray:
     x, y = _pixel_centers(sensor.film())
     aperture, point = mi.Point2f(CENTER), mi.Point2f
     if _is_vectorised(variant):
-        ray, _ = sensor.sample_ray(0.0, 0.5, point(mi.Float(x), mi.Float(y)), aperture)
+        ray = _sensor_ray(sensor, point(mi.Float(x), mi.Float(y)), aperture)
         return np.column_stack([_rows(values, len(x)) for values in (ray.o, ray.d, ray.maxt)])
     pairs = zip(x.tolist(), y.tolist(), strict=True)
-    rays = (sensor.sample_ray(0.0, 0.5, point(*pair), aperture)[0] for pair in pairs)
+    rays = (_sensor_ray(sensor, point(*pair), aperture) for pair in pairs)
     return np.array([(*ray.o, *ray.d, ray.maxt) for ray in rays], np.float32)
+
+
+def _sensor_ray(sensor: Any, position: Any, aperture: Any) -> Any:
+    """A sensor's ray, or rays, for a position on its film. An irradiancemeter has only those with differentials."""
+    try:
+        return sensor.sample_ray(0.0, 0.5, position, aperture)[0]
+    except RuntimeError:
+        return sensor.sample_ray_differential(0.0, 0.5, position, aperture)[0]
 
 
 def _pixel_centers(film: Any) -> tuple[np.ndarray, np.ndarray]:

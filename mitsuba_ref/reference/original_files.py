@@ -293,9 +293,9 @@ def camera_of(about: Mapping[str, Any]) -> tuple[dict[str, Any] | None, bool, st
     if is_mirrored(matrix):
         return None, False, f"sensor {plugin}: it is mirrored, so {its_rays}"
     across, above, along = row_lengths(matrix[:3, :3].T)
-    axes = matrix[:3, :3] / [across, above, along]
+    axes = matrix[:3, :3] / ([across, across, along] if plugin == "orthographic" else along)
     exact = bool(np.abs(product(axes.T, axes) - np.eye(3)).max() <= SKEW_ATOL)
-    note = "" if exact else f"sensor {plugin}: its axes are not perpendicular, so {its_rays}"
+    note = "" if exact else f"sensor {plugin}: its axes are not perpendicular or differ in length, so {its_rays}"
     eye, up, view = (matrix[:3, column].tolist() for column in (3, 1, 2))
     pose = {"eye": eye, "up": up, "direction": view}
     if plugin == "orthographic":

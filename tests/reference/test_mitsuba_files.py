@@ -174,12 +174,24 @@ def test_rays_are_the_sensors_own(folder):
     path = written(folder, SENSOR + meter + BALL)
     scene = mitsuba_ref.validate(open_scene(path, Opening({}, sensor=1))).scenes[0]
     assert scene.ok and scene.hit_pixels == scene.pixels == 1 and "sensor radiancemeter" in scene.coverage.notes[0]
+    on_shape = '<shape type="disk"><sensor type="irradiancemeter"/></shape><shape type="rectangle">{}</shape>'
+    facing = on_shape.format('<transform name="to_world"><translate z="3"/></transform>')
+    scene = mitsuba_ref.validate(written(folder, facing, "facing.xml"), size=(8, 8)).scenes[0]
+    assert scene.ok and scene.hit_pixels == 64 and "sensor irradiancemeter" in scene.coverage.notes[0]
     with pytest.raises(SceneError, match="sensor 2: the file has 2, counted from 0"):
         open_scene(path, Opening({}, sensor=2))
     scene = mitsuba_ref.validate(written(folder, BALL, "view.xml"), size=(20, 20)).scenes[0]
     assert scene.ok and 50 < scene.hit_pixels < 350 and "no sensor" in scene.coverage.notes[0]
     with pytest.raises(SceneError, match="perspective or orthographic"):
         import_xml(written(folder, meter + BALL))
+
+
+@pytest.mark.parametrize("plugin", ["perspective", "orthographic"])
+def test_axes_of_a_sensor_that_differ_in_length_are_no_cameras(folder, plugin):
+    """As in a matrix of six decimals: the caster's camera would be off by many roundings."""
+    sensor = f'<sensor type="{plugin}"><transform name="to_world"><scale y="1.00002"/><translate z="-5"/></transform>'
+    scene = mitsuba_ref.validate(written(folder, sensor + "</sensor>" + BALL), size=(40, 40)).scenes[0]
+    assert scene.ok and "differ in length" in scene.coverage.notes[0]
 
 
 def test_what_a_verdict_covers_is_shown_everywhere(folder, capsys, monkeypatch):
