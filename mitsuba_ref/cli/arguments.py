@@ -410,8 +410,8 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    add("ours", InputPath, metavar="OURS.exr")
-    add("reference", InputPath, metavar="REF.exr")
+    add("ours", InputPath, "an image, or a folder of images", metavar="OURS.exr|DIR")
+    add("reference", InputPath, "another one, or a folder of images of the same names", metavar="REF.exr|DIR")
     ignore = "leave a channel or group of them out"
     add("--ignore", str, ignore, action="append", default=[], metavar="CHANNEL")
     add("--other-scene", bool, "compare images of different scenes, too")
@@ -425,24 +425,6 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("--max-pixels", int, "number of pixels that may differ (never by NaN or inf)", default=0, metavar="N")
     add = add_reading(parser)
     add("--scene", InputPath, "the scene whose camera rendered the images", metavar="SCENE")
-
-
-def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser, OutputFolder)
-    add_timeout(parser)
-    adder(parser)("--yes", bool, "write the images; without it, changes are only shown")
-
-
-def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser, InputPath)
-    adder(parser)("--json", bool, "as JSON")
-
-
-def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
-    """Add the options of both: scenes, and the folder of approved images."""
-    add_selection(parser)
-    references = "the folder of approved images, NAME.exr for each scene"
-    adder(parser)("--references", folder, references, metavar="DIR", required=True)
 
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:

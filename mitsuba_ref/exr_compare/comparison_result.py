@@ -63,7 +63,7 @@ class FileComparison(BaseModel):
     ours, reference: file names, or names of what was compared. hit_*: pixel counts; hit_channel: the channel that shows
     the hits, "" if there is none and every pixel counts. differing_pixels counts a pixel once, however many groups
     differ in it. compared: how many channels were. stated: conventions that were applied to files of other programs.
-    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff, html: the
+    reasons: why nothing was compared. scene: its file, if known. diff, html: the
     difference image and the folder of a page, if written. measures: (what, value), for information.
     """
 
@@ -86,7 +86,7 @@ class FileComparison(BaseModel):
     reasons: tuple[str, ...] = ()
     stated: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
-    scene: tuple[str, ...] = ()
+    scene: str = ""
     diff: str = ""
     html: str = ""
     measures: tuple[tuple[str, str], ...] = ()
@@ -124,11 +124,11 @@ class FileComparison(BaseModel):
     def replay(self) -> str:
         """The command about the first pixel that differs; "" if the scene's file is not known."""
         failing = self._failing()
-        if not (failing and self.scene and self.scene[0].isprintable()):
+        if not (failing and self.scene.isprintable() and self.scene):
             return ""
         worst = failing[0].worst
         at = (str(worst.x), str(worst.y)) if worst else ("0", "0")
-        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene[0], *at, *self.scene[1:]])
+        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene, *at])
 
     def findings(self) -> Iterator[str]:
         """What was found, without the words PASS and FAIL."""

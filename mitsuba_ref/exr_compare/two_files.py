@@ -162,7 +162,7 @@ def compare_images(
         compared=len(pair.names),
         groups=results,
         exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
-        scene=tuple(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))))[:1],
+        scene=next((exr.provenance[SCENE] for exr in (a, b) if SCENE in exr.provenance), ""),
         diff="" if diff is None else str(diff),
     )
     if html is None:

@@ -10,6 +10,7 @@ import pytest
 
 from caster.description.errors import SceneError
 from caster.image.exr import read_exr, write_exr
+from mitsuba_ref.__main__ import main
 from mitsuba_ref.error_model.tolerances import DEPTH_RTOL
 from mitsuba_ref.exr_compare.two_files import FileComparison, Tolerances, compare_exr
 
@@ -401,6 +402,41 @@ def test_the_json_is_strict_and_holds_the_counts(tmp_path):
     assert by_name["normal"]["non_finite"] == 1 and by_name["normal"]["worst"]["ours"] == "nan"
     assert by_name["shape_id"]["worst"]["ratio"] == "inf" and by_name["shape_id"]["worst"]["x"] == 15
     json.dumps(compared(tmp_path, renamed(EXACT, "A", "a")).model_dump(mode="json"), allow_nan=False)
+
+
+# ---- two folders ----
+
+
+def test_files_of_the_same_names_are_compared_and_the_highest_code_counts(tmp_path, capsys):
+    folders = tmp_path / "ours", tmp_path / "references"
+
+    def run(*more):
+        code = main(["compare", *map(str, folders), *more])
+        return code, capsys.readouterr().out
+
+    for folder in folders:
+        folder.mkdir()
+        for name in ("a", "b"):
+            write_exr(folder / f"{name}.exr", EXACT, SCENE)
+    write_exr(folders[0] / "new.exr", EXACT)
+    code, out = run()
+    assert code == 0 and "PASS  a.exr  " in out and "2 images: 2 pass, 0 fail" in out
+    assert "not compared, without a reference: new.exr" in out
+    write_exr(folders[0] / "b.exr", with_value("depth.Z", 3.25), SCENE)
+    code, out = run()
+    assert code == 1 and "PASS  a.exr" in out and "FAIL  b.exr  depth: 1 of " in out and "(15, 14)" in out
+    assert run("--max-pixels", "1")[0] == 0 and run("--ignore", "depth")[0] == 0
+    (folders[0] / "a.exr").unlink()
+    code, out = run()
+    assert (
+        code == 4
+        and "FAIL  a.exr" in out
+        and "no such file" in out
+        and "FAIL  b.exr  depth" in out
+        and "2 images: 0 pass, 2 fail" in out
+    )
+    assert [each["exit_code"] for each in json.loads(run("--json")[1])] == [4, 1]
+    assert main(["compare", *map(str, folders), "--html", str(tmp_path / "page")]) == 2
 
 
 # ---- the difference image ----
