@@ -416,7 +416,6 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("--ignore", str, ignore, action="append", default=[], metavar="CHANNEL")
     add("--other-scene", bool, "compare images of different scenes, too")
     add = adder(parser.add_argument_group("results"))
-    add("-o --output", OutputFile, "write the differences, and a class for each pixel", metavar="DIFF.exr")
     add_html(add)
     add("--json", bool, "print the comparison as JSON")
     add = adder(parser.add_argument_group("tolerances"))

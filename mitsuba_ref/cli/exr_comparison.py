@@ -21,9 +21,9 @@ def run_compare(args: argparse.Namespace) -> int:
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
-    if Path(args.ours).is_dir() or Path(args.reference).is_dir():
+    if Path(args.ours).is_dir() and Path(args.reference).is_dir():
         return compare_folders(args, tolerances, reading)
-    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, html=args.html, reading=reading)
+    result = compare_exr(args.ours, args.reference, tolerances, html=args.html, reading=reading)
     print(result.model_dump_json(indent=2) if args.json else folded(result.format_table()))
     if args.html and not args.json:
         none = "report:     none, as nothing could be compared; an earlier one there is removed"
@@ -34,10 +34,8 @@ def run_compare(args: argparse.Namespace) -> int:
 def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: Reading) -> int:
     """Compare every EXR file of the reference's folder; the exit code is the highest of all."""
     folders = Path(args.ours), Path(args.reference)
-    if not all(folder.is_dir() for folder in folders):
-        raise SceneError(f"compare: expected two files or two folders, got {folders[0]} and {folders[1]}")
-    if args.output or args.html:
-        raise SceneError(f"{'-o' if args.output else '--html'}: expected two files, not folders")
+    if args.html:
+        raise SceneError("--html: expected two files, not folders")
     ours, references = (sorted(path.name for path in folder.glob("*.exr")) for folder in folders)
     if not references:
         report_error(f"nothing selected: no .exr file in {folders[1]}", NOTHING_SELECTED)

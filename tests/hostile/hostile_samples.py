@@ -151,7 +151,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster info FILE --json",
         "caster info FILE",
         "caster preview FILE -o out/o.png",
-        "mitsuba-ref compare FILE in/other.exr -o out/d.exr",
+        "mitsuba-ref compare FILE in/other.exr --html out/d",
         "mitsuba-ref compare in/other.exr FILE --json",
         "mitsuba-ref validate in/scene.toml --candidate FILE",
     ),
