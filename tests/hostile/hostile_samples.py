@@ -138,7 +138,7 @@ READERS: dict[str, tuple[str, ...]] = {
     "in/ascii.ply": read_by("caster check in/ascii.toml", "mitsuba-ref export in/ascii.toml -o out/x"),
     "in/little.ply": read_by("caster check in/little.toml", "mitsuba-ref validate in/little.toml"),
     "in/big.ply": read_by(
-        "caster check in/big.toml", "mitsuba-ref rays in/big.toml -o out/r.npy --kind features --count 9"
+        "caster check in/big.toml", "mitsuba-ref rays in/big.toml -o out/r.npz --kind features --count 9"
     ),
     "in/course.txt": read_by(
         "caster 6837 -input FILE -size 9 7 -output out/o.png -depth 8 12 out/d.tga -normals out/n.png",
@@ -163,20 +163,18 @@ READERS: dict[str, tuple[str, ...]] = {
         f'mitsuba-ref validate in/scene.toml --candidate "{COPY.format(".exr", "exr")} {{toml}}"',
         f'mitsuba-ref probe in/scene.toml 3 3 --candidate "{COPY.format(".exr", "exr")} {{toml}}"',
     ),
-    "in/answer.npy": read_by(
-        f'mitsuba-ref validate in/scene.toml --out out/v --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}"',
-        f'mitsuba-ref probe in/scene.toml 3 3 --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}"',
+    "in/answer.raw": read_by(
+        f'mitsuba-ref validate in/scene.toml --out out/v --candidate "{COPY.format(".raw", "hits")} {{rays}}"',
+        f'mitsuba-ref probe in/scene.toml 3 3 --candidate "{COPY.format(".raw", "hits")} {{rays}}"',
     ),
     "in/rays.npz": read_by(
         "mitsuba-ref judge --scene in/scene.toml --rays FILE --hits in/hits.npz --out out/j --html out/h"
     ),
-    "in/rays.npy": read_by("mitsuba-ref judge --scene in/scene.toml --rays FILE --hits in/hits.npz"),
-    "in/hits.npz": read_by("mitsuba-ref judge --scene in/scene.toml --rays in/rays.npz --hits FILE --rows 3:9"),
-    "in/hits.npy": read_by(
-        "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npy --hits FILE --precision float32"
+    "in/hits.npz": read_by(
+        "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npz --hits FILE --row 3 --precision float32"
     ),
     "in/expected.toml": read_by(
-        f'mitsuba-ref validate in/scene.toml --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}" --expected FILE'
+        f'mitsuba-ref validate in/scene.toml --candidate "{COPY.format(".raw", "hits")} {{rays}}" --expected FILE'
     ),
     "in/shards/verdict.json": read_by(
         "mitsuba-ref merge FILE --json out/m.json --junit out/m.xml --summary-md out/m.md",
@@ -249,16 +247,12 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     (source / "scene.json").write_text(json.dumps(tomllib.loads(HEAD + SPHERE)))
     with np.load(source / "rays.npz") as stored:
         rows = stored["rays"]
-    np.save(source / "rays.npy", rows)
     hits = caster.cast(scene, rows[:, :3].astype(float), rows[:, 3:6].astype(float))
     n = np.where(np.isfinite(hits.t)[:, None], hits.normal, 0.0)
     t = hits.t
     np.savez(source / "hits.npz", t=t.astype("f4"), n=n.astype("f4"))
-    np.save(source / "hits.npy", np.column_stack([t, n]).astype("f4"))
     (source / "expected.toml").write_text('[[failure]]\nscene = "scene"\nchecks = ["depth"]\npixels = 3\nwhy = "x"\n')
-    (source / "answer.npy").write_bytes((source / "hits.npy").read_bytes())
+    (source / "answer.raw").write_bytes(np.column_stack([t, n]).astype("<f4").tobytes())
     (source / "answer.exr").write_bytes((source / "image.exr").read_bytes())
     verdict = (folder / "out" / "verdict.json").read_bytes()
     (source / "shards" / "verdict.json").write_bytes(verdict)
-    (folder / "out" / "references").mkdir()
-    (folder / "out" / "references" / "scene.exr").write_bytes((source / "references" / "scene.exr").read_bytes())
