@@ -44,7 +44,7 @@ def needs_supervision(words: Sequence[str]) -> bool:
     """Whether this command line may run a candidate function in the judge's process."""
     if os.name != "posix":
         return False
-    has_candidate = any(word.partition("=")[0] in ("--candidate", "--candidate-rays") for word in words)
+    has_candidate = any(word.partition("=")[0] == "--candidate" for word in words)
     return has_candidate and list(words[:1]) in (["validate"], ["probe"])
 
 

@@ -19,7 +19,7 @@ from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.validation import Validation
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, entries_of_hits, judge_loaded
 from mitsuba_ref.subjects.function import function_subject
-from mitsuba_ref.subjects.ray_files import RayList, checked_rays, read_hits, read_rays
+from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, RayList, checked_rays, read_arrays, read_rays
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
 
@@ -75,14 +75,15 @@ def judge_hits(
 ) -> Validation:
     """Judge the hits of any rays, as `mitsuba-ref judge` does.
 
-    - rays: (n, 8) float32 or float64: o, d, t_min, t_max; or a .npz or .npy file of them.
+    - rays: (n, 8) float32 or float64: o, d, t_min, t_max; or a .npz file of them.
     - hits: (n,) arrays by name: t, and where they are given n (n, 3), shape_id, prim_id, any_hit; or a file of them.
     - precision: the arithmetic of the hits; default: the type of t and n.
 
     Raises SceneError, FileMissing.
     """
     found: RayList = checked_rays(rays, "rays") if isinstance(rays, np.ndarray) else read_rays(os.fspath(rays))
-    arrays = {k: np.asarray(v) for k, v in hits.items()} if isinstance(hits, Mapping) else read_hits(os.fspath(hits))
+    given = hits if isinstance(hits, Mapping) else read_arrays(os.fspath(hits), HIT_ARRAYS)
+    arrays = {array: np.asarray(values) for array, values in given.items()}
     name, path = ("scene", "") if isinstance(scene, Scene) else (Path(scene).stem, os.fspath(scene))
     entries = entries_of_hits(name, path, _loaded(scene), found, arrays, "hits", precision)
     return _judged(entries, JudgeOptions(timeout=timeout))

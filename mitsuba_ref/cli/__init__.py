@@ -54,22 +54,6 @@ COMMANDS = (
         "run_render",
     ),
     _command(
-        "approve",
-        "render images with Mitsuba, show what changed in them, and write them once approved",
-        "approve scenes --references refs",
-        "exr_comparison",
-        "run_approve",
-        starts_with="loading the renderer and the approved images",
-    ),
-    _command(
-        "check",
-        "compare our render with approved images, without Mitsuba; stale or altered ones fail",
-        "check scenes --references refs",
-        "exr_comparison",
-        "run_check",
-        starts_with="loading the renderer and the approved images",
-    ),
-    _command(
         "export",
         "write a scene as Mitsuba XML with its meshes, for plain Mitsuba",
         "export scene.toml -o exported",
@@ -85,7 +69,7 @@ COMMANDS = (
     ),
     _command(
         "compare",
-        "compare two EXR files; NaN, inf, another size or one missed pixel never pass",
+        "compare two EXR files, or two folders of them; NaN, inf, another size or one missed pixel never pass",
         "compare ours.exr reference.exr --html difference",
         "exr_comparison",
         "run_compare",

@@ -27,7 +27,7 @@ from mitsuba_ref.report import builtin_scenes
 if TYPE_CHECKING:
     from mitsuba_ref.runner.shards import Shard
 
-RAY_KINDS = ("camera", "features", "silhouettes", "surface", "random", "shadow")
+RAY_KINDS = ("camera", "features", "silhouettes", "surface", "random")
 NUMBERS = {
     "depth_rtol": "of depth and position, instead of the derived bound",
     "normal_atol": "of normals, instead of the derived bound",
@@ -228,12 +228,12 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse
 def add_candidate(
     parser: argparse.ArgumentParser,
     title: str = "another ray caster, judged in place of ours (mitsuba-ref docs candidates)",
-) -> None:
-    """Add --candidate, its precision and its time limit."""
+) -> Callable[..., argparse.Action]:
+    """Add --candidate, its precision and its time limit; the function that adds what cannot be given beside it."""
     group = parser.add_argument_group(title)
     add, add_one = adder(group), adder(group.add_mutually_exclusive_group())
     add_one(
-        "--candidate --candidate-rays",
+        "--candidate",
         str,
         "package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or an image of the "
@@ -256,13 +256,8 @@ def add_candidate(
         choices=PRECISIONS,
     )
     add("--candidate-timeout", deadline, f"time that a command may take for one scene; default {CANDIDATE_SECONDS:g}s")
-    add(
-        "--no-limits",
-        bool,
-        "the program's interface has no t_min and t_max: a hit beyond t_max counts as a miss",
-        action="store_const",
-        const=True,
-    )
+    add("--no-limits", bool, "the program's interface has no t_min and t_max: a hit beyond t_max counts as a miss")
+    return add_one
 
 
 def add_skip_unsupported(add: Callable[..., argparse.Action], plural: str) -> None:
@@ -275,12 +270,10 @@ def add_skip_unsupported(add: Callable[..., argparse.Action], plural: str) -> No
 
 
 def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -> None:
-    """Add the items by name, -k and --list. what: "family" or "scene"."""
+    """Add the items by name, and --list. what: "family" or "scene"."""
     plural = {"family": "families", "scene": "scenes"}[what]
     add = adder(parser)
     add(plural, str, words, metavar=what.upper(), nargs="*")
-    example = "'scale and not mesh'" if what == "family" else "'mesh and not lit'"
-    add("-k", str, f"{plural} whose name matches, such as {example}", metavar="EXPRESSION", dest="expression")
     add("--list", bool, f"list the {plural} and stop")
 
 
@@ -312,7 +305,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add("--write-expected", OutputFile, help_)
     add_skip_unsupported(add, "scenes")
     help_ = "fail a Mitsuba file of which not every shape is judged"
-    add("--strict", bool, help_, action="store_const", const=True)
+    add("--strict", bool, help_)
     help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
     add("--min-scenes", positive_int, help_, default=0)
     add("--maxfail", positive_int, "stop after so many scenes that fail")
@@ -358,9 +351,9 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
     add("--scene", InputPath, help_, metavar="SCENE", required=True)
-    help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
+    help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given"
     add("--hits", InputPath, help_, metavar="FILE")
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
+    help_ = ".npz of `rays`, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
     add("--rays", InputPath, help_, metavar="FILE", required=True)
     help_ = "judge where these rays start, in place of hits: .npz of `rays` and of `parent`, the rows of --rays after "
     help_ += "whose hits they go on"
@@ -370,46 +363,31 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add("--spawn", str, help_, metavar="RULE")
     help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
     add("--precision", str, help_, metavar="PRECISION", choices=PRECISIONS)
-    add("--rows", row_range, "judge these rays alone: one, or from A up to B", metavar="A:B")
+    add("--row", whole, "judge this ray alone")
     add_mesh_dirs(parser)
     add_reference(parser)
     add_report_files(parser)
 
 
-def row_range(text: str) -> tuple[int, int | None]:
-    """A:B, A: or one row. Raises argparse.ArgumentTypeError."""
-    first, colon, end = text.partition(":")
-    if not (first.isdecimal() or (colon and not first)) or not (end.isdecimal() or not end):
-        raise argparse.ArgumentTypeError(f"expected rows such as 17 or 100:200, got '{text}'")
-    start = int(first or 0)
-    stop = (int(end) if end else None) if colon else start + 1
-    if stop is not None and stop <= start:
-        raise argparse.ArgumentTypeError(f"expected at least one row, got '{text}'")
-    return start, stop
-
-
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = adder(parser)
-    add("-o --output", str, ".npz, or .npy for the rows alone; with --bounces a folder", metavar="RAYS", required=True)
-    help_ = "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
-    help_ += "silhouettes, surface (from surfaces), random"
+    add("-o --output", str, ".npz; with --bounces a folder", metavar="RAYS", required=True)
+    help_ = "camera (default), or aimed: features (corners, edges, rims), silhouettes, surface (from surfaces), random"
     add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS, default="camera")
     add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
     add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
-    add("--light", int, "number of the light of shadow rays; default 0", metavar="N", default=0)
     add_bounces(add, "the camera's rays, and the secondary ones of each bounce to this depth, a file each")
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    add("ours", InputPath, metavar="OURS.exr")
-    add("reference", InputPath, metavar="REF.exr")
+    add("ours", InputPath, "an image, or a folder of images", metavar="OURS.exr|DIR")
+    add("reference", InputPath, "another one, or a folder of images of the same names", metavar="REF.exr|DIR")
     ignore = "leave a channel or group of them out"
     add("--ignore", str, ignore, action="append", default=[], metavar="CHANNEL")
     add("--other-scene", bool, "compare images of different scenes, too")
     add = adder(parser.add_argument_group("results"))
-    add("-o --output", OutputFile, "write the differences, and a class for each pixel", metavar="DIFF.exr")
     add_html(add)
     add("--json", bool, "print the comparison as JSON")
     add = adder(parser.add_argument_group("tolerances"))
@@ -418,24 +396,6 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("--max-pixels", int, "number of pixels that may differ (never by NaN or inf)", default=0, metavar="N")
     add = add_reading(parser)
     add("--scene", InputPath, "the scene whose camera rendered the images", metavar="SCENE")
-
-
-def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser, OutputFolder)
-    add_timeout(parser)
-    adder(parser)("--yes", bool, "write the images; without it, changes are only shown")
-
-
-def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser, InputPath)
-    adder(parser)("--json", bool, "as JSON")
-
-
-def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
-    """Add the options of both: scenes, and the folder of approved images."""
-    add_selection(parser)
-    references = "the folder of approved images, NAME.exr for each scene"
-    adder(parser)("--references", folder, references, metavar="DIR", required=True)
 
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
@@ -498,7 +458,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--rays", positive_int, "rays aimed at each scene; default: 40", default=40)
     add_workers(add, "examples")
     add_engine(add)
-    add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
+    add_candidate(parser)
 
 
 def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
@@ -526,17 +486,16 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
     add("--out", OutputFolder, help_, default="stress-failures")
     add_json(parser)
-    add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
+    add_one = add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
     help_ = "in place of ray casters, judge a rule of where rays start: of (points, normals, directions)"
-    add("--spawn", str, help_, metavar="MODULE:FUNCTION")
+    add_one("--spawn", str, help_, metavar="MODULE:FUNCTION")
     add_skip_unsupported(add, "families")
 
 
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add_item_selection(parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names")
     add = adder(parser)
-    help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
-    add("--aov", str, help_, metavar="AOV,...", action="append")
+    add("--aov", str, "AOVs of images, such as depth,normal,diffuse; default: depth,normal", metavar="AOV,...")
     add("--size", positive_int, f"pixels a side; default: {DEFAULT_SIZE}", default=DEFAULT_SIZE)
     help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
     add("--alternations", positive_int, help_, default=DEFAULT_ALTERNATIONS)

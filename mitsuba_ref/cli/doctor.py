@@ -108,7 +108,6 @@ def _pinned(name: str) -> Finding:
 RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
-    "check": "mitsuba_ref.exr_compare.approved:ImageChecks",
     "bench": "mitsuba_ref.bench.result:Run",
     "versions": "mitsuba_ref.runner.version_comparison:VersionComparison",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",

@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
+from caster.cli.shared_arguments import comma_separated
 from caster.description.errors import SceneError
 from caster.rendering.threads import core_count
 from caster.system.cluster import CallEnded
@@ -49,10 +50,8 @@ from mitsuba_ref.subjects.subject import Subject
 
 def run_stress(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
-    if args.spawn and args.candidate:
-        raise SceneError("--spawn: not together with --candidate: a rule of origins is no ray caster")
     known = SPAWNED if args.spawn else SWEPT if args.candidate else (*SWEPT, *SPAWNED)
-    families = options.select(known, "family", args.families, args.expression)
+    families = options.select(known, "family", args.families)
     if (code := options.listed(families, "family", args)) is not None:
         return code
     candidate = options.requested_candidate(args, takes_rays=True)
@@ -168,14 +167,13 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     words = list(map(ScenePath, args.scenes))
     files = [word for word in words if Path(word).suffix]
     named = [word for word in words if word not in files]
-    chosen = options.select(SCENES, "scene", named, args.expression) if named or not files else []
+    chosen = options.select(SCENES, "scene", named) if named or not files else []
     chosen += [scene_of_file(file, args.mesh_dir) for file in files]
     if args.candidate and not args.aov:  # it gives depth and normal
         chosen = [scene for scene in chosen if scene.aovs == AOVS]
     if args.aov:
-        sets = [[name.strip() for name in words.split(",") if name.strip()] for words in args.aov]
         images = [scene for scene in chosen if scene.workload == FILM and scene.aovs == AOVS]
-        chosen = [with_aovs(scene, aovs) for scene in images for aovs in sets]
+        chosen = [with_aovs(scene, comma_separated(args.aov)) for scene in images]
     return chosen
 
 

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 def fuzz_run_of(args: argparse.Namespace) -> FuzzRun:
     """The run that the options ask for. Raises SceneError for an unknown family or candidate."""
-    families = options.select(FAMILIES, "family", args.family, None) if args.family else FAMILIES
+    families = options.select(FAMILIES, "family", args.family)
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples = itertools.count() if args.examples is None else args.examples
     names, candidate = tuple(family.name for family in families), options.requested_candidate(args)

@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.rendering.bounces import bounces
-from caster.rendering.hits import cast, trace_rays, validated_rays
+from caster.rendering.hits import trace_rays, validated_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder
@@ -17,7 +17,6 @@ from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import given_words, load_scene_or_original
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
-from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.hard import rays
 from mitsuba_ref.judge.checks.secondary_rays import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
@@ -28,20 +27,10 @@ from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.runner.validation_run import RunOptions
 from mitsuba_ref.stress.origins import write_parent
 from mitsuba_ref.subjects.function import spawn_rule
-from mitsuba_ref.subjects.ray_files import (
-    RayList,
-    UnreadableArray,
-    checked_rays,
-    read_arrays,
-    read_hits,
-    read_rays,
-    write_rays,
-)
+from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, RayList, checked_rays, read_arrays, read_rays, write_rays
 from mitsuba_ref.subjects.subject import NoAnswer
 
 # ---- rays of a scene, as a file ----
-
-SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray leaves its own surface
 
 
 def run_rays(args: argparse.Namespace) -> int:
@@ -49,9 +38,8 @@ def run_rays(args: argparse.Namespace) -> int:
     scene = load_scene_or_original(args)
     if args.bounces:
         return write_bounces(scene, args)
-    make = {"camera": camera_rows, "shadow": shadow_rows}.get(args.kind, aimed_rows)
     with np.errstate(over="ignore"):
-        rows, pixels = make(scene, args)
+        rows, pixels = camera_rows(scene) if args.kind == "camera" else (aimed_rows(scene, args), None)
         rows = rows.astype(np.float32)
     whole = pixels is not None and len(pixels) == scene.film.width * scene.film.height
     rays = checked_rays(rows, args.output, scene.film.width if whole else 0)
@@ -63,7 +51,7 @@ def run_rays(args: argparse.Namespace) -> int:
 def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
     """Write bounce-0.npz, the camera's rays, and bounce-1.npz ..., whose `parent` counts in the file before."""
     folder = check_folder(args.output)
-    rows, pixels = camera_rows(scene, args)
+    rows, pixels = camera_rows(scene)
     first = trace_rays(
         scene, packed_float32(scene), validated_rays(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]), rows[:, 6]
     )
@@ -77,7 +65,7 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
     return OK
 
 
-def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
+def camera_rows(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """(n, 8) the rays that `validate` shares with Mitsuba, and (n, 2) their pixels."""
     rays = shared_rays(scene)
     there = np.flatnonzero(rays.t_max >= 0.0)
@@ -85,20 +73,7 @@ def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
     return rows, np.array([pixel_of(scene, int(row)) for row in there], np.int32).reshape(-1, 2)
 
 
-def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from the camera's hits to a light; d reaches a point light at t = 1. Raises SceneError."""
-    lights = [light for light in scene.lights if light.type != "ambient"]
-    if not 0 <= args.light < len(lights):
-        raise SceneError(f"--light {args.light}: the scene has {len(lights)} lights that cast shadows")
-    rows, pixels = camera_rows(scene, args)
-    hits = cast(scene, rows[:, :3], rows[:, 3:6])
-    hit = np.isfinite(hits.t) & (hits.t <= rows[:, 7])
-    p = hits.position[hit].astype(np.float32).astype(np.float64)
-    to_light, reach = direction_to_light(lights[args.light], p)
-    return np.column_stack([p, to_light, np.full(len(p), SHADOW_T_MIN), reach]), pixels[hit]
-
-
-def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None]:
+def aimed_rows(scene: Scene, args: argparse.Namespace) -> np.ndarray:
     """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
     targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed))
     if not targets.counts.sum():
@@ -107,7 +82,7 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None
     targets.frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, inside.mean(axis=0))
     aims = {"features": rays.at_features, "silhouettes": rays.tangents, "surface": rays.from_surface}
     o, d = aims.get(args.kind, rays.anywhere)(targets, args.count)
-    return np.column_stack([o, d, np.zeros(args.count), np.full(args.count, np.inf)]), None
+    return np.column_stack([o, d, np.zeros(args.count), np.full(args.count, np.inf)])
 
 
 # ---- answers to any rays ----
@@ -120,10 +95,10 @@ def run(args: argparse.Namespace) -> int:
     if not args.hits or args.spawn:
         raise SceneError("judge: expected --hits, or --spawned with or without --spawn")
     out = without_earlier_results(args)
-    scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_hits(args.hits)
+    scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_arrays(args.hits, HIT_ARRAYS)
     options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir", *REFERENCE_OPTIONS)
     entries = entries_of_hits(
-        Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.rows, options
+        Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.row, options
     )
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
     return judge_entries(args, entries, RunOptions(judge, html=args.html), out)
@@ -134,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
 
 def run_spawned(args: argparse.Namespace) -> int:
     """Judge the origins and print their errors; 0 none, 1 some or no answer, 5 nothing to judge."""
-    for name in ("hits", "html", "junit", "summary_md", "rows", "precision"):
+    for name in ("hits", "html", "junit", "summary_md", "row", "precision"):
         if getattr(args, name) is not None:
             raise SceneError(f"--{name.replace('_', '-')}: not together with --spawned")
     try:
@@ -161,11 +136,9 @@ def run_spawned(args: argparse.Namespace) -> int:
 
 
 def listed_rays(args: argparse.Namespace) -> LeavingRays:
-    """The rays of --spawned after the exact hits of their parents in --rays. Raises SceneError, UnreadableArray."""
+    """The rays of --spawned after the exact hits of their parents in --rays. Raises SceneError, FileMissing."""
     scene, parents = load_scene(args.scene, args.mesh_dir), read_rays(args.rays).rows.astype(np.float64)
-    arrays = read_arrays(args.spawned, ("rays", "parent"))
-    if missing := {"rays", "parent"} - arrays.keys():
-        raise UnreadableArray(f"{args.spawned}: expected arrays rays and parent, got no {' and no '.join(missing)}")
+    arrays = read_arrays(args.spawned, names := ("rays", "parent"), names)
     rows, parent = checked_rays(arrays["rays"], args.spawned).rows.astype(np.float64), arrays["parent"]
     if parent.shape != (len(rows),) or parent.dtype.kind not in "iu":
         raise SceneError(

@@ -17,7 +17,6 @@ from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
-from mitsuba_ref.runner.many_scenes import matching
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
@@ -34,7 +33,7 @@ def opening_of(args: argparse.Namespace) -> Opening:
         if "=" not in word:
             raise SceneError(f"-D {word}: expected NAME=VALUE")
     parameters = dict(word.split("=", 1) for word in words)
-    return Opening(parameters, getattr(args, "sensor", None) or 0, bool(getattr(args, "strict", None)))
+    return Opening(parameters, getattr(args, "sensor", None) or 0, getattr(args, "strict", False))
 
 
 def load_scene_or_original(args: argparse.Namespace) -> Scene:
@@ -90,10 +89,10 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
     for name in names:
         value = getattr(args, name, None)
         option = "--candidate-serve" if isinstance(value, ServedProgram) else f"--{name.replace('_', '-')}"
-        if value is True:
-            words.append(option)
+        if value is None or isinstance(value, bool):
+            words += [option] if value else []
             continue
-        for each in value if isinstance(value, list) else [] if value is None else [value]:
+        for each in value if isinstance(value, list) else [value]:
             words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
             check_utf8_name(words[-1])
     return tuple(words)
@@ -128,25 +127,23 @@ def table_stream(args: argparse.Namespace) -> TextIO:
     return sys.stderr if args.json == "-" else sys.stdout
 
 
-def select(items: Sequence[Any], what: str, words: Sequence[str], expression: str | None) -> list[Any]:
+def select(items: Sequence[Any], what: str, words: Sequence[str]) -> list[Any]:
     """Select named items by name or by its part before a dash, in the order of the registry; all without words.
 
-    what: "scene" or "family", for messages. Raises SceneError for an unknown word or an invalid expression.
+    what: "scene" or "family", for messages. Raises SceneError for an unknown word.
     """
     names = [item.name for item in items]
     known = [*names, *(name.partition("-")[0] for name in names)]
     for word in words:
         if word not in known:
             raise SceneError(f"{what} '{word}': unknown{suggestion(word, known)} (known: {', '.join(names)})")
-    matches = matching(expression)
-    chosen = (item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words))
-    return [item for item in chosen if matches(item.name)]
+    return [item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words)]
 
 
 def listed(items: Sequence[Any], what: str, args: argparse.Namespace) -> int | None:
     """The exit code where nothing was selected, or after --list; None: there is work to do."""
     if not items:
-        print(f"nothing selected: no {what} matches -k {args.expression!r}", file=sys.stderr)
+        print(f"nothing selected: no {what} fits the options", file=sys.stderr)
         return NOTHING_SELECTED
     if args.list:
         width = max(len(item.name) for item in items) + 2

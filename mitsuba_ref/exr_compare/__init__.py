@@ -1,1 +1,1 @@
-"""Comparison of two EXR files pixel by pixel (`two_files.compare_exr`), and approved reference EXRs."""
+"""Comparison of two EXR files pixel by pixel (`two_files.compare_exr`)."""

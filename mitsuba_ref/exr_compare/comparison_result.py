@@ -13,8 +13,6 @@ from mitsuba_ref.report.results import aligned, percent
 
 LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
 LEGEND_OF_SLOPE = ", slope = its change per scene unit there"
-MISS, AGREE, DIFFER, HIT_MISS, NON_FINITE = range(5)  # values of the channel class.I of a difference image
-CLASSES = "0 missed by both, 1 hit by both and agrees, 2 differs, 3 hit in one image only, 4 not finite"
 TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at")
 
 
@@ -63,8 +61,8 @@ class FileComparison(BaseModel):
     ours, reference: file names, or names of what was compared. hit_*: pixel counts; hit_channel: the channel that shows
     the hits, "" if there is none and every pixel counts. differing_pixels counts a pixel once, however many groups
     differ in it. compared: how many channels were. stated: conventions that were applied to files of other programs.
-    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff, html: the
-    difference image and the folder of a page, if written. measures: (what, value), for information.
+    reasons: why nothing was compared. scene: its file, if known. html: the folder of a
+    page, if written. measures: (what, value), for information.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -86,8 +84,7 @@ class FileComparison(BaseModel):
     reasons: tuple[str, ...] = ()
     stated: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
-    scene: tuple[str, ...] = ()
-    diff: str = ""
+    scene: str = ""
     html: str = ""
     measures: tuple[tuple[str, str], ...] = ()
 
@@ -113,7 +110,6 @@ class FileComparison(BaseModel):
         if self.exit_code == NOT_COMPARABLE:
             return "NOT COMPARABLE", *found, f"{info}; caster info {shlex.quote(self.reference)}"
         if self.exit_code == DIFFERENCES and self.groups:
-            found += [f"      look:   {self.diff}, channel class.I ({CLASSES})"] if self.diff else []
             found += [f"      {self.replay}" if self.replay else info]
             found.append(
                 "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
@@ -124,11 +120,11 @@ class FileComparison(BaseModel):
     def replay(self) -> str:
         """The command about the first pixel that differs; "" if the scene's file is not known."""
         failing = self._failing()
-        if not (failing and self.scene and self.scene[0].isprintable()):
+        if not (failing and self.scene.isprintable() and self.scene):
             return ""
         worst = failing[0].worst
         at = (str(worst.x), str(worst.y)) if worst else ("0", "0")
-        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene[0], *at, *self.scene[1:]])
+        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene, *at])
 
     def findings(self) -> Iterator[str]:
         """What was found, without the words PASS and FAIL."""

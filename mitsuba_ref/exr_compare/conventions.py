@@ -255,9 +255,6 @@ def hints(exr: Exr, other: Exr, reading: Reading) -> Iterator[str]:
     if "depth.Z" not in other.channels or "depth.Z" not in exr.channels:
         return
     depth, known = (stacked(each, ["depth.Z"])[..., 0] for each in (exr, other))
-    missed = depth[np.isinf(known)]
-    if len(missed) and np.isfinite(missed[0]) and (missed == missed[0]).all():
-        yield f"depth is {missed[0]:.9g} wherever the other file misses: --miss {missed[0]:.9g}"
     both = np.isfinite(depth) & np.isfinite(known)
     scenes = (reading.scene, scene_in(exr), scene_in(other))
     for meaning, distance in distances(depth, reading, scenes).items() if both.any() and not reading.depth else ():

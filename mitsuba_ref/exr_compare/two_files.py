@@ -11,31 +11,20 @@ import numpy as np
 from caster.aovs import Aovs
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.channels import aovs_to_channels
-from caster.image.exr import Exr, read_exr, write_exr
+from caster.image.exr import Exr, read_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import Tolerances
 from mitsuba_ref.exr_compare import comparison_page
-from mitsuba_ref.exr_compare.comparison_result import (
-    AGREE,
-    CLASSES,
-    DIFFER,
-    HIT_MISS,
-    MISS,
-    NON_FINITE,
-    FileComparison,
-    GroupResult,
-    Worst,
-)
+from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, is_ours, to_our_conventions
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, ExrPair, bound_of, scene_in
-from mitsuba_ref.report.evidence import clipped_to_float32
 
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
 
 FileName = str | os.PathLike[str]
-Image = FileName | Exr | Mapping[str, np.ndarray]
+Image = FileName | Mapping[str, np.ndarray]
 SIDES = ("ours", "the reference")
 SCENE = "caster/scene"  # provenance: the scene's path
 
@@ -54,19 +43,16 @@ def compare_exr(
     reference: Image,
     tolerances: Tolerances | None = None,
     *,
-    diff: FileName | None = None,
     html: FileName | None = None,
     reading: Reading | None = None,
 ) -> FileComparison:
     """Compare two images pixel by pixel, matching channels by name.
 
-    Each is the path of an EXR file, an Exr, Aovs of `caster.render`, or arrays by the name of a channel or AOV.
-    diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
-    `class.I` (codes in its provenance). html: a folder for a page that shows both images. Neither is written when the
-    files are not comparable.
+    Each is the path of an EXR file, Aovs of `caster.render`, or arrays by the name of a channel or AOV.
+    html: a folder for a page that shows both images; none is written when they are not comparable.
     reading: how to interpret files of other programs.
-    Raises FileMissing or UnreadableExr for an input, OutputError for diff, Unclear for a file that can be read in two
-    ways, SceneError for an `ignore` that matches no channel or a diff that would overwrite an input.
+    Raises FileMissing or UnreadableExr for an input, OutputError for html, Unclear for a file that can be read in two
+    ways, SceneError for an `ignore` that matches no channel.
     """
     if html is not None:
         comparison_page.remove_page(Path(html))
@@ -74,8 +60,6 @@ def compare_exr(
     paths = [each for each in sources if isinstance(each, str | os.PathLike)]
     names = str(ours) if ours in paths else SIDES[0], str(reference) if reference in paths else SIDES[1]
     files = [as_exr(each) for each in sources]
-    if diff is not None and any(os.path.exists(diff) and os.path.samefile(diff, path) for path in paths):
-        raise SceneError(f"{diff}: expected another file for the difference: this is an image that is compared")
     check_maps(reading.maps, *(exr.channels for exr in files))
     converted, stated = list[Exr](), list[str]()
     both_foreign = not any(map(is_ours, files))
@@ -89,7 +73,8 @@ def compare_exr(
     foreign = [i for i in (0, 1) if converted[i] is not files[i]]
     alone = sorted(a.channels.keys() ^ b.channels.keys()) if foreign else []
     stated += [f"not compared, since only one file has them: {', '.join(alone)}"] if alone else []
-    result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, diff=diff, html=html)
+    tolerances = tolerances or Tolerances()
+    result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, html=html)
     if result.exit_code != DIFFERENCES:
         return result
     more = (f"{SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading))
@@ -101,12 +86,10 @@ def as_exr(image: Image) -> Exr:
 
     Raises as `read_exr`, and TypeError.
     """
-    if isinstance(image, Exr):
-        return image
     if isinstance(image, str | os.PathLike):
         return read_exr(image)
     if not isinstance(image, Mapping) or not image:
-        raise TypeError(f"expected the path of an EXR file, an Exr, or arrays by name, got {image!r:.60}")
+        raise TypeError(f"expected the path of an EXR file, or arrays by name, got {image!r:.60}")
     found = aovs_to_channels(image) if isinstance(image, Aovs) else dict(_channels(image))
     channels = {name: a.astype(np.float32) if a.dtype.kind == "f" else a for name, a in found.items()}
     height, width = next(iter(channels.values())).shape
@@ -125,16 +108,14 @@ def _channels(arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarra
 def compare_images(
     a: Exr,
     b: Exr,
-    tolerances: Tolerances | None = None,
+    tolerances: Tolerances,
     *,
-    names: tuple[str, str] = SIDES,
-    stated: tuple[str, ...] = (),
-    left_out: Iterable[str] = (),
-    diff: FileName | None = None,
-    html: FileName | None = None,
+    names: tuple[str, str],
+    stated: tuple[str, ...],
+    left_out: Iterable[str],
+    html: FileName | None,
 ) -> FileComparison:
     """Judge every pixel of two images in our conventions. names: of the images; left_out: channels not compared."""
-    tolerances = tolerances or Tolerances()
     ignored = ignored_channels(a, b, tolerances.ignore)
     about: dict[str, Any] = {"ours": names[0], "reference": names[1], "ignored": ignored, "stated": stated}
     left_out = {*ignored, *left_out}
@@ -144,8 +125,6 @@ def compare_images(
     judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
     results, differing, breaking, _ = zip(*judged, strict=True)
     differ, broken = (np.any(each, axis=0) for each in (differing, breaking))
-    if diff is not None:
-        write_difference(diff, pair, differ, broken, *names)
     bad = int((differ | broken).sum())
     failed = bool(broken.any()) or bad > tolerances.max_pixels
     height, width = differ.shape
@@ -162,8 +141,7 @@ def compare_images(
         compared=len(pair.names),
         groups=results,
         exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
-        scene=tuple(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))))[:1],
-        diff="" if diff is None else str(diff),
+        scene=next((exr.provenance[SCENE] for exr in (a, b) if SCENE in exr.provenance), ""),
     )
     if html is None:
         return result
@@ -275,23 +253,3 @@ def _worst(pair: ExrPair, names: tuple[str, ...], ratio: Array, numbers: dict[st
     return Worst(
         channel=names[c], x=x0 + int(x), y=y0 + int(y), **{name: float(values[at]) for name, values in numbers.items()}
     )
-
-
-# ---- the difference image ----
-
-
-def write_difference(path: FileName, pair: ExrPair, differ: Array, broken: Array, ours: str, reference: str) -> None:
-    """Each channel's difference under its own name, float32, and `class.I`; ours, reference: what was read.
-
-    Raises OutputError.
-    """
-    channels = {}
-    for name in pair.names:
-        a, b = (values[..., 0] for values in pair.values([name]))
-        with np.errstate(invalid="ignore"):
-            channels[name] = clipped_to_float32(np.where(a == b, 0.0, a - b))  # inf on both sides is no difference
-    conditions = {NON_FINITE: broken, HIT_MISS: ~pair.same_mask, DIFFER: differ, AGREE: pair.hit_either}
-    channels["class.I"] = np.select([*conditions.values()], [*conditions], MISS).astype(np.uint32)
-    about = {"kind": "ours minus reference", "class": CLASSES, "ours": ours, "reference": reference}
-    data, display = pair.reference.data_window, pair.reference.display_window
-    write_exr(path, channels, about, data_window=data, display_window=display)

@@ -1,7 +1,7 @@
 """Reproducers: one pixel as a scene file of its own, exact to the bit; and replay commands."""
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any
@@ -161,10 +161,8 @@ def rows_by_case(judgement: Judgement) -> dict[str, list[int]]:
     return found
 
 
-def write_reproducer(
-    path: Path, judge: Judge, judgement: Judgement, row: int, source: str, more: Sequence[str] = ()
-) -> bool:
-    """Write the reproducer of one pixel; returns whether its primitives alone show the same. more: comment lines.
+def write_reproducer(path: Path, judge: Judge, judgement: Judgement, row: int, source: str) -> bool:
+    """Write the reproducer of one pixel; returns whether its primitives alone show the same.
 
     Raises OutputError, SceneError.
     """
@@ -175,7 +173,7 @@ def write_reproducer(
     verdict = CLASSES[int(judgement.classes[row])]
     what = f"{verdict}, {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else verdict
     head = reproducer_header(judge, judgement, row, what, source)
-    write_scene(path, alone, [*head, words, *more, *notes])
+    write_scene(path, alone, [*head, words, *notes])
     return same
 
 
@@ -213,7 +211,7 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
     """The command that shows one pixel, or else the scene, again."""
     if scene.command == "judge":
         ray = scene.ray_at(*pixel) if pixel else None
-        return shlex.join(["mitsuba-ref", "judge", *scene.options, *([] if ray is None else ["--rows", str(ray)])])
+        return shlex.join(["mitsuba-ref", "judge", *scene.options, *([] if ray is None else ["--row", str(ray)])])
     if pixel is None:
         thorough = " --thorough" if scene.thorough else ""
         return f"mitsuba-ref validate {_path(scene)}{thorough}{_options(scene)}"

@@ -66,12 +66,12 @@ def entries_of_hits(
     hits: Mapping[str, np.ndarray],
     where: str,
     precision: str | None = None,
-    rows: tuple[int, int | None] | None = None,
+    row: int | None = None,
     options: tuple[str, ...] = (),
 ) -> list[SceneEntry]:
     """Entries that judge given hits of rays: one for nearest hits, one for any-hit answers. Raises SceneError.
 
-    where: the source of the hits, for messages. rows: the first and the end of the rays to judge; None: all of them.
+    where: the source of the hits, for messages. row: of the one ray to judge; None: all of them.
     """
     count = len(rays.rows)
     for array, values in hits.items():
@@ -81,10 +81,9 @@ def entries_of_hits(
             )
     if not {"t", "any_hit"} & hits.keys():
         raise SceneError(f"{where}: expected an array t, or any_hit; got {', '.join(hits)}")
-    first, last = rows or (0, None)
-    last = count if last is None else min(last, count)
+    first, last = (0, count) if row is None else (row, row + 1)
     if first >= count:
-        raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
+        raise SceneError(f"--row {first}: expected a ray of 0 to {count - 1}")
     width = rays.width if (first, last) == (0, count) else 0
     film, shared = lay_out(scene, rays._replace(rows=rays.rows[first:last], width=width))
     arrays = {array: values[first:last] for array, values in hits.items()}

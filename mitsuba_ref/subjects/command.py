@@ -46,7 +46,7 @@ from mitsuba_ref.subjects.subject import (
 )
 
 PLACEHOLDERS = ("xml", "toml", "exr", "width", "height")  # of a command that renders a scene
-RAY_PLACEHOLDERS = ("rays", "hits", "mesh", "scene")  # of one that reads rays and writes hits
+RAY_PLACEHOLDERS = ("rays", "hits", "mesh", "toml")  # of one that reads rays and writes hits
 PLACEHOLDER = re.compile(r"\{(\w+)\}")
 OWN_CAMERA_NOTE = "it casts the rays of its own camera, and is allowed the effect of rounding those to float32"
 
@@ -184,8 +184,16 @@ def answer_from_exr(
     # The depth, which counts from the eye, was rounded to float32 when it was stored.
     with np.errstate(invalid="ignore"):
         stored = np.where(np.isfinite(depth), U32 * np.abs(depth) / length, 0.0)
-    more = {"as_exported": as_exported, "t_rounding": stored, "own_camera": True, "notes": (OWN_CAMERA_NOTE, *steps)}
-    return checked_answer(t, n, np.ones(len(t), bool), precision=subject.precision or FLOAT32, **more)
+    return checked_answer(
+        t,
+        n,
+        np.ones(len(t), bool),
+        precision=subject.precision or FLOAT32,
+        as_exported=as_exported,
+        t_rounding=stored,
+        own_camera=True,
+        notes=(OWN_CAMERA_NOTE, *steps),
+    )
 
 
 def camera_rounding(scene: Scene) -> tuple[float, float]:
@@ -242,7 +250,7 @@ def _mask(mask: Array, depth: Array, request: CastRequest) -> Array:
 def mesh_bytes(packed: Packed) -> bytes:
     """All triangles of a scene: v, f as int64, (v, 3) float32, (f, 3) int32. Raises Unsupported for other shapes."""
     if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
-        raise Unsupported(f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{scene}}")
+        raise Unsupported(f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{toml}}")
     first = np.cumsum([0, *(len(part.vertices) for part in packed.parts)])
     vertices = np.concatenate([part.vertices for part in packed.parts]).astype("<f4")
     faces = [part.faces + start for part, start in zip(packed.parts, first, strict=False)]
@@ -282,7 +290,7 @@ class RayProgram(Program):
         if len(data) not in lengths:
             raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
         rows = np.frombuffer(data, self.numbers).reshape(-1, lengths[len(data)])
-        hits, packed = hit_columns(rows, where), request.model.packed
+        hits, packed = hit_columns(rows), request.model.packed
         return answer_of_numbered_hits(hits, request.rays, packed, self.precision, limits=self.takes_limits)
 
 
@@ -294,8 +302,8 @@ class RayCommand(RayProgram):
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
         paths = {name: request.folder / f"{name}.raw" for name in ("rays", "hits", "mesh")}
         paths["rays"].write_bytes(self.ray_bytes(request))
-        if "scene" in self.placeholders:
-            paths["scene"] = write_toml(request)
+        if "toml" in self.placeholders:
+            paths["toml"] = write_toml(request)
         if "mesh" in self.placeholders:
             paths["mesh"].write_bytes(mesh_bytes(request.model.packed))
         paths["hits"].unlink(missing_ok=True)  # left by an earlier request

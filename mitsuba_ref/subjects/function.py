@@ -18,8 +18,7 @@ import numpy as np
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.reference.shared_input import packed_float32
-from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, answer_of_numbered_hits
+from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import PRECISIONS, Answer, CastRequest, NoAnswer, Subject, Unsupported, exception_text
 
 # package.module:function
@@ -100,7 +99,6 @@ def function_subject(call: Callable[..., Any], name: str = "", precision: str | 
 
 CALLED = "it is called as function(scene, o, d), with o and d (n, 3) float64, and returns (t, n)"
 LIMITS = ("t_min", "t_max")  # further parameters that a function may have
-RETURNED = ("t", "n", "prim_id")  # of a tuple; a mapping may have shape_id as well
 
 
 @dataclass(frozen=True)
@@ -132,9 +130,8 @@ class FunctionSubject(Subject):
         with _one_at_a_time, _isolated():
             returned = self._called(traced, o, d, dict(zip(named, limits, strict=True)))
             try:
-                hits = _hits(returned)
-                numbered = packed_float32(traced) if "prim_id" in hits else request.model.packed
-                return answer_of_numbered_hits(hits, rays, numbered, self.precision, limits=self.takes_limits)
+                hits, packed = _hits(returned), request.model.packed
+                return answer_of_numbered_hits(hits, rays, packed, self.precision, limits=self.takes_limits)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
 
@@ -162,17 +159,13 @@ def _isolated() -> Iterator[None]:
 
 
 def _hits(returned: Any) -> dict[str, Any]:
-    """Arrays by name, from (t, n), (t, n, prim_id), or a mapping. Raises NoAnswer."""
-    if isinstance(returned, Mapping) and "t" in returned:
-        found = {name: returned[name] for name in HIT_ARRAYS if name in returned}
-    elif isinstance(returned, tuple | list) and len(returned) in (2, 3):
-        found = dict(zip(RETURNED, returned, strict=False))
-    else:
+    """Arrays by name, from (t, n) or (t, n, prim_id). Raises NoAnswer."""
+    if not isinstance(returned, tuple | list) or len(returned) not in (2, 3):
         got = f"{len(returned)} of them" if isinstance(returned, tuple | list) else type(returned).__name__
         got = f"one array of shape {returned.shape}" if isinstance(returned, np.ndarray) else got
         raise NoAnswer(f"expected two arrays (t, n), got {got}; {CALLED}")
-    ids = {name: np.asarray(found[name]) for name in ("shape_id", "prim_id") if found.get(name) is not None}
-    return {"t": found["t"], "n": found.get("n"), **ids}
+    t, n, *ids = returned
+    return {"t": t, "n": n} | ({"prim_id": np.asarray(ids[0])} if ids else {})
 
 
 def _exception_with_calls(error: BaseException) -> str:

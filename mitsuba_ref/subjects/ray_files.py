@@ -16,20 +16,12 @@ from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import (
-    Answer,
-    CastRequest,
-    NoAnswer,
-    Subject,
-    checked_answer,
-    spread,
-    without_hits_beyond,
-)
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer, spread
 
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
-NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
+ZIP_MAGIC = b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
-HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of hits in one .npy array
+HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of rows of hits
 STRIP_WIDTH = 256  # of the film on which rays are laid out, if the list names none
 
 
@@ -44,32 +36,33 @@ class RayList(NamedTuple):
     width: int = 0  # pixels; 0: any
 
 
-# ---- arrays of .npy and .npz files
+# ---- arrays of .npz files
 
 
-def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, Array]:
-    """The arrays `names` of a .npz file; for a .npy file, its array under the name "". Nothing is unpickled.
+def read_arrays(path: str | Path, names: Sequence[str], required: Sequence[str] = ()) -> dict[str, Array]:
+    """The arrays `names` of a .npz file, of which `required` have to be there. Nothing is unpickled.
 
     Raises FileMissing, or UnreadableArray for files that hold objects, are cut short or do not fit into memory.
     """
     path = Path(path)
     with opened_input(path, "file of arrays") as file:
-        start = file.read(len(NPY_MAGIC))
-        if start != NPY_MAGIC and not start.startswith(ZIP_MAGIC):
-            raise UnreadableArray(f"{path}: expected a .npz or .npy file of NumPy, got one that starts with {start!r}")
+        start = file.read(len(ZIP_MAGIC))
+        if start != ZIP_MAGIC:
+            raise UnreadableArray(f"{path}: expected a .npz file of NumPy, got one that starts with {start!r}")
         file.seek(0)
         try:
             loaded: Any = np.load(file, allow_pickle=False)
-            single = start == NPY_MAGIC
-            found = {"": loaded} if single else {name: loaded[name] for name in loaded.files if name in names}
+            found = {name: loaded[name] for name in loaded.files if name in names}
         except Exception as error:  # NumPy and zipfile raise various types for damaged bytes
             raise UnreadableArray(f"{path}: cannot be read: {error}") from error
-    if not found:
-        raise UnreadableArray(f"{path}: expected arrays of {', '.join(names)}, got {', '.join(loaded.files) or 'none'}")
+    if not found or not found.keys() >= set(required):
+        raise UnreadableArray(
+            f"{path}: expected arrays of {', '.join(required or names)}, got {', '.join(loaded.files) or 'none'}"
+        )
     for name, values in found.items():
         kind = getattr(values, "dtype", None)  # bytes, where a member of the archive is no array
         if kind is None or kind.kind not in "fiub":
-            raise UnreadableArray(f"{path}: {name or 'its array'}: expected numbers, got {kind or 'no array'}")
+            raise UnreadableArray(f"{path}: {name}: expected numbers, got {kind or 'no array'}")
     return found
 
 
@@ -77,16 +70,13 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, Array]
 
 
 def read_rays(path: str | Path) -> RayList:
-    """Rays of a .npy file, or the array `rays` of a .npz file, (n, 8).
+    """The array `rays` of a .npz file, (n, 8).
 
     Raises FileMissing, UnreadableArray, SceneError.
     """
-    arrays = read_arrays(path, ("rays", "width"))
-    rows = arrays.get("rays", arrays.get(""))
-    if rows is None:
-        raise UnreadableArray(f"{path}: expected an array `rays`, got {', '.join(arrays)}")
+    arrays = read_arrays(path, ("rays", "width"), ("rays",))
     width = int(arrays["width"]) if arrays.get("width", np.zeros(3)).size == 1 else 0
-    return checked_rays(rows, str(path), width)
+    return checked_rays(arrays["rays"], str(path), width)
 
 
 def checked_rays(rows: Array, where: str, width: int = 0) -> RayList:
@@ -119,12 +109,9 @@ def checked_rays(rows: Array, where: str, width: int = 0) -> RayList:
 
 
 def write_rays(path: str | Path, rays: RayList, **more: Array) -> None:
-    """Write rays to a .npz file, or the rows alone to a .npy file. Raises OutputError."""
+    """Write rays to a .npz file. Raises OutputError."""
     out = io.BytesIO()
-    if Path(path).suffix == ".npy":
-        np.save(out, rays.rows, allow_pickle=False)
-    else:
-        np.savez_compressed(out, rays=rays.rows, width=np.int64(rays.width), **more)  # type: ignore[arg-type]
+    np.savez_compressed(out, rays=rays.rows, width=np.int64(rays.width), **more)  # type: ignore[arg-type]
     write_bytes(Path(path), out.getvalue())
 
 
@@ -147,21 +134,8 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
 # ---- hits
 
 
-def read_hits(path: str | Path) -> dict[str, Array]:
-    """Hits by HIT_ARRAYS, from a .npz file or the columns of a .npy file. Raises FileMissing, UnreadableArray."""
-    arrays = read_arrays(path, HIT_ARRAYS)
-    return hit_columns(arrays[""], str(path)) if "" in arrays else arrays
-
-
-def hit_columns(rows: Array, where: str) -> dict[str, Array]:
-    """Hits by HIT_ARRAYS from rows (n, 1), (n, 4) or (n, 5); integers (n,) are any_hit. Raises UnreadableArray."""
-    if rows.ndim == 1 and rows.dtype.kind in "biu":
-        return {"any_hit": rows}
-    if rows.ndim == 1:
-        return {"t": rows}
-    if rows.ndim != 2 or rows.shape[1] not in HIT_COLUMNS or rows.dtype.kind != "f":
-        known = ", ".join(f"(n, {count}): {what}" for count, what in HIT_COLUMNS.items())
-        raise UnreadableArray(f"{where}: expected hits of shape {known}; got {rows.shape} of {rows.dtype}")
+def hit_columns(rows: Array) -> dict[str, Array]:
+    """Hits by HIT_ARRAYS from rows of HIT_COLUMNS."""
     found = {"t": rows[:, 0]}
     if rows.shape[1] >= 4:
         found["n"] = rows[:, 1:4]
@@ -185,9 +159,16 @@ class HitsFile(Subject):
 
 
 def answer_of_hits(
-    arrays: Mapping[str, Any], there: Array, precision: str | None = None, any_hit: bool = False
+    arrays: Mapping[str, Any],
+    there: Array,
+    precision: str | None = None,
+    any_hit: bool = False,
+    t_max: Array | float = np.inf,
 ) -> Answer:
-    """The answer from nearest hits, or from any-hit answers, one for each pixel in `there`. Raises NoAnswer."""
+    """The answer from nearest hits, or from any-hit answers, one for each pixel in `there`. Raises NoAnswer.
+
+    t_max: a nearest hit beyond it counts as a miss.
+    """
     names = ("any_hit",) if any_hit else ("shape_id", "prim_id")
     numbers = {name: _integers(name, arrays[name], there) for name in names if name in arrays}
     if any_hit:
@@ -197,7 +178,7 @@ def answer_of_hits(
             raise NoAnswer(f"any_hit[{i}]: expected 0 or 1, got {blocked[i]}")
         t = np.where(blocked == 1, 0.0, np.inf)
         return checked_answer(t, None, there, precision=precision or "float64", hits_only=True)
-    found = checked_answer(arrays["t"], arrays.get("n"), there, precision=precision)
+    found = checked_answer(arrays["t"], arrays.get("n"), there, precision=precision, t_max=t_max)
     ids = {name: np.where(found.hit, spread(values, there, -1), -1) for name, values in numbers.items()}
     # -1 at every hit means that ids are not given
     named: dict[str, Any] = {
@@ -209,20 +190,16 @@ def answer_of_hits(
 def answer_of_numbered_hits(
     hits: Mapping[str, Any], rays: SharedRays, packed: Packed, precision: str | None, *, limits: bool
 ) -> Answer:
-    """The answer from nearest hits; prim_id without shape_id is numbered through the scene. Raises NoAnswer.
+    """The answer from nearest hits, with prim_id numbered through the scene. Raises NoAnswer.
 
-    packed: the primitives as the subject numbers them. limits: whether it is given t_max, so that a hit beyond it is
-    no answer; else such a hit counts as a miss.
+    limits: whether the subject is given t_max, so that a hit beyond it is no answer; else it counts as a miss.
     """
-    there, arrays = rays.t_max >= 0.0, dict(hits)
-    found = answer_of_hits(arrays, there, precision)
-    if found.shape_id is None and found.prim_id is not None:
+    t_max = rays.t_max.astype(np.float64)
+    found = answer_of_hits(hits, t_max >= 0.0, precision, t_max=np.inf if limits else t_max)
+    if found.prim_id is not None:
         inside = found.hit & (found.prim_id >= 0) & (found.prim_id < packed.first[-1])
         known = np.where(inside, found.prim_id, -1)
         found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
-    t_max = rays.t_max.astype(np.float64)
-    if not limits:
-        return without_hits_beyond(found, t_max)
     late = found.hit & (found.t > t_max)
     return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 

@@ -34,15 +34,7 @@ from mitsuba_ref.subjects.command import (
     split_command,
 )
 from mitsuba_ref.subjects.function import FUNCTION_PATTERN, import_function
-from mitsuba_ref.subjects.subject import (
-    DEFAULT_SECONDS,
-    PRECISIONS,
-    Answer,
-    CastRequest,
-    NoAnswer,
-    Subject,
-    ids_as_described,
-)
+from mitsuba_ref.subjects.subject import DEFAULT_SECONDS, PRECISIONS, Answer, CastRequest, NoAnswer, Subject
 
 FAR_PLANE_NOTE = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
 
@@ -81,7 +73,6 @@ def request_answer(
             answer = subject.answer(request)
         except NoAnswer as error:
             raise type(error)(f"the candidate gave no answer to judge: {error}") from error
-    answer = ids_as_described(answer, packed)
     view = model
     if answer.own_camera:  # its rays are known up to the rounding of a camera
         described = described_model(scene) if answer.own_geometry else None
@@ -127,11 +118,11 @@ def _parsed(text: str, precision: str | None, seconds: float, served: bool) -> S
             f"expected package.module:function{_function_in(text)}, or a command such as 'my-renderer {{xml}} -o "
             "{exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
         )
-    words, named = split_command(text, (*PLACEHOLDERS, *RAY_PLACEHOLDERS))
+    words, named = split_command(text, tuple(dict.fromkeys((*PLACEHOLDERS, *RAY_PLACEHOLDERS))))
     if named & {"rays", "hits", "mesh"}:
         if not {"rays", "hits"} <= named <= set(RAY_PLACEHOLDERS):
             raise SceneError(
-                "expected {rays}, the file to read, {hits}, that to write, and at most {mesh} and {scene} beside them"
+                "expected {rays}, the file to read, {hits}, that to write, and at most {mesh} and {toml} beside them"
             )
         return RayCommand(text, words, precision, seconds)
     if "exr" not in named or not named & {"xml", "toml"} or not named <= set(PLACEHOLDERS):

@@ -84,10 +84,13 @@ class Answer:
         return PRECISIONS[self.precision]
 
 
-def checked_answer(t: Any, n: Any, there: Array, *, precision: str | None = None, **more: Any) -> Answer:
+def checked_answer(
+    t: Any, n: Any, there: Array, *, precision: str | None = None, t_max: Array | float = np.inf, **more: Any
+) -> Answer:
     """The answer from a candidate's arrays. precision: as declared; None: that of the arrays.
 
-    there: (m,) bool, the pixels that have a row of the arrays; the others miss. n may be None. Each normal is divided
+    there: (m,) bool, the pixels that have a row of the arrays; the others miss. t_max: a hit beyond it counts as a
+    miss. n may be None. Each normal is divided
     by its length. Rows are no answer where t is NaN, negative or -inf, or where a hit has a normal that is not finite
     or has no length. Raises NoAnswer for arrays of another shape or type.
     """
@@ -97,6 +100,7 @@ def checked_answer(t: Any, n: Any, there: Array, *, precision: str | None = None
     kinds = [a.dtype for a in (t, n) if a is not None]
     precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
     t = t.astype(np.float64)
+    t = np.where(t > t_max, np.inf, t)
     broken = {"t is NaN": np.isnan(t), "t is negative": t < 0.0}
     hit = ~np.isposinf(t)
     if n is not None:
@@ -107,18 +111,6 @@ def checked_answer(t: Any, n: Any, there: Array, *, precision: str | None = None
         broken["the normal has no length on a hit"] = hit & whole & ~fine
         n = _directions(np.where(fine[:, None], n, 0.0))
     return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, **more)
-
-
-def without_hits_beyond(found: Answer, t_max: Array) -> Answer:
-    """The answer of a candidate without limits: a hit beyond t_max (n,) counts as a miss."""
-    beyond = found.hit & (found.t > t_max)
-    ids: dict[str, Any] = {
-        name: np.where(beyond, -1, values)
-        for name in ("shape_id", "prim_id")
-        if (values := getattr(found, name)) is not None
-    }
-    n = None if found.n is None else np.where(beyond[:, None], 0.0, found.n)
-    return replace(found, t=np.where(beyond, np.inf, found.t), n=n, **ids)
 
 
 def spread(values: Array, there: Array, nothing: float) -> Array:
@@ -204,17 +196,16 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     Anything made of triangles becomes a `mesh` without a to_world, its PLY file in `folder`/meshes; a sphere becomes a
     `sphere` with centre and radius, or many in one shape `spheres` with a file; ellipsoids, cylinders and disks become
     their unit shape with one matrix; planes have a normal and a point. If a shape has several primitives and no such
-    description, it becomes its first primitive, and the others follow after all shapes.
+    description, each becomes a shape, so that numbers of primitives through the scene stay as they are.
     """
     check_folder(folder / "meshes")
-    described = [_described(scene, packed, i, folder) for i in range(len(scene.shapes))]
-    shapes = [shape for shape, *_ in described] + [each for _, *others in described for each in others]
+    shapes = [each for i in range(len(scene.shapes)) for each in _described(scene, packed, i, folder)]
     fields = {name: getattr(scene, name) for name in ("film", "camera", "lights", "materials", "shading")}
     return Scene(**fields, shapes=shapes)
 
 
 def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[str, Any]]:
-    """The shape; where its primitives are described one by one, also the others."""
+    """The shape; or its primitives, where these are described one by one."""
     part, name = packed.parts[i], scene.shape_names()[i]
     named = {"name": name, **kept_fields(scene.shapes[i])}
     path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
@@ -226,25 +217,6 @@ def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[
     if count != 1 and describe_all:
         return [describe_all(part, path) | named]
     return [describe_surface(part, k) | named | ({"name": f"{name}-{k}"} if k else {}) for k in range(count)]
-
-
-def ids_as_described(answer: "Answer", packed: Packed) -> "Answer":
-    """The answer with the ids of the original shapes, where `scene_as_traced` has more shapes."""
-    apart = [not isinstance(part, Triangles) and kind_of(part).describe_all is None for part in packed.parts]
-    more = np.where(apart, np.diff(packed.first) - 1, 0)  # primitives of each shape that are shapes of their own
-    if not more.any() or (answer.shape_id is None and answer.prim_id is None):
-        return answer
-    if answer.shape_id is None:
-        note = "prim_id is not judged without shape_id: primitives of some shape are described one by one"
-        return replace(answer, prim_id=None, notes=(*answer.notes, note))
-    owner = np.concatenate([np.arange(len(more)), np.repeat(np.arange(len(more)), more)])
-    number = np.concatenate([np.zeros(len(more), int), *(np.arange(count) + 1 for count in more)])
-    there = (answer.shape_id >= len(more)) & (answer.shape_id < len(owner))
-    row = np.where(there, answer.shape_id, 0)
-    prim = answer.prim_id
-    if prim is not None:
-        prim = np.where(there & (prim == 0), number[row], prim)
-    return replace(answer, shape_id=np.where(there, owner[row], answer.shape_id), prim_id=prim)
 
 
 # ---- subjects ----

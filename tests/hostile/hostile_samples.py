@@ -116,8 +116,6 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref render FILE -o out/o.exr",
         "mitsuba-ref validate FILE --out out/v --json out/v.json --junit out/v.xml --summary-md out/v.md",
         "mitsuba-ref probe FILE 3 3 --save out/ray.toml",
-        "mitsuba-ref approve FILE --references out/references --yes",
-        "mitsuba-ref check FILE --references in/references",
         "mitsuba-ref judge --scene FILE --rays in/rays.npz --hits in/hits.npz --out out/j",
         "mitsuba-ref judge --scene FILE --rays in/rays.npz --spawned in/rays.npz",
         "mitsuba-ref versions FILE --mitsuba in/no-python",
@@ -137,7 +135,7 @@ READERS: dict[str, tuple[str, ...]] = {
     "in/ascii.ply": read_by("caster check in/ascii.toml", "mitsuba-ref export in/ascii.toml -o out/x"),
     "in/little.ply": read_by("caster check in/little.toml", "mitsuba-ref validate in/little.toml"),
     "in/big.ply": read_by(
-        "caster check in/big.toml", "mitsuba-ref rays in/big.toml -o out/r.npy --kind features --count 9"
+        "caster check in/big.toml", "mitsuba-ref rays in/big.toml -o out/r.npz --kind features --count 9"
     ),
     "in/course.txt": read_by(
         "caster 6837 -input FILE -size 9 7 -output out/o.png -depth 8 12 out/d.tga -normals out/n.png",
@@ -150,7 +148,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster info FILE --json",
         "caster info FILE",
         "caster preview FILE -o out/o.png",
-        "mitsuba-ref compare FILE in/other.exr -o out/d.exr",
+        "mitsuba-ref compare FILE in/other.exr --html out/d",
         "mitsuba-ref compare in/other.exr FILE --json",
         "mitsuba-ref validate in/scene.toml --candidate FILE",
     ),
@@ -162,20 +160,18 @@ READERS: dict[str, tuple[str, ...]] = {
         f'mitsuba-ref validate in/scene.toml --candidate "{COPY.format(".exr", "exr")} {{toml}}"',
         f'mitsuba-ref probe in/scene.toml 3 3 --candidate "{COPY.format(".exr", "exr")} {{toml}}"',
     ),
-    "in/answer.npy": read_by(
-        f'mitsuba-ref validate in/scene.toml --out out/v --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}"',
-        f'mitsuba-ref probe in/scene.toml 3 3 --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}"',
+    "in/answer.raw": read_by(
+        f'mitsuba-ref validate in/scene.toml --out out/v --candidate "{COPY.format(".raw", "hits")} {{rays}}"',
+        f'mitsuba-ref probe in/scene.toml 3 3 --candidate "{COPY.format(".raw", "hits")} {{rays}}"',
     ),
     "in/rays.npz": read_by(
         "mitsuba-ref judge --scene in/scene.toml --rays FILE --hits in/hits.npz --out out/j --html out/h"
     ),
-    "in/rays.npy": read_by("mitsuba-ref judge --scene in/scene.toml --rays FILE --hits in/hits.npz"),
-    "in/hits.npz": read_by("mitsuba-ref judge --scene in/scene.toml --rays in/rays.npz --hits FILE --rows 3:9"),
-    "in/hits.npy": read_by(
-        "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npy --hits FILE --precision float32"
+    "in/hits.npz": read_by(
+        "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npz --hits FILE --row 3 --precision float32"
     ),
     "in/expected.toml": read_by(
-        f'mitsuba-ref validate in/scene.toml --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}" --expected FILE'
+        f'mitsuba-ref validate in/scene.toml --candidate "{COPY.format(".raw", "hits")} {{rays}}" --expected FILE'
     ),
     "in/shards/verdict.json": read_by(
         "mitsuba-ref merge FILE --json out/m.json --junit out/m.xml --summary-md out/m.md",
@@ -184,11 +180,7 @@ READERS: dict[str, tuple[str, ...]] = {
     ),
     "out/verdict.json": read_by("mitsuba-ref validate in/scene.toml --out out"),
     "out/scene.ours.exr": read_by("mitsuba-ref validate in/scene.toml --out out --html out/h"),
-    "in/references/scene.exr": read_by(
-        "mitsuba-ref check in/scene.toml --references in/references --json",
-        "mitsuba-ref approve in/scene.toml --references in/references",
-    ),
-    "out/references/scene.exr": read_by("mitsuba-ref approve in/scene.toml --references out/references --yes"),
+    "in/references/scene.exr": read_by("mitsuba-ref compare in/references in/references --json"),
     "in/campaign.toml": read_by("mitsuba-ref campaign FILE --history out/h.sqlite -j 1 --json out/c.json"),
     "in/campaign.history.sqlite": read_by("mitsuba-ref campaign FILE --html out/c.html --json out/c.json"),
     "in/kept.toml": read_by("mitsuba-ref fuzz --replay FILE", "mitsuba-ref fuzz --replay in/kept"),
@@ -241,7 +233,8 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     succeed("caster render in/scene.toml -o in/image.exr")
     succeed("caster render in/scene.toml -o in/foreign.exr --aov depth,normal")
     succeed("mitsuba-ref render in/scene.toml -o in/other.exr")
-    succeed("mitsuba-ref approve in/scene.toml --references in/references --yes")
+    (source / "references").mkdir()
+    (source / "references/scene.exr").write_bytes((source / "other.exr").read_bytes())
     succeed("mitsuba-ref validate in/scene.toml --out out")
     succeed("mitsuba-ref rays in/scene.toml -o in/rays.npz")
     succeed("mitsuba-ref campaign in/campaign.toml")
@@ -251,16 +244,12 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     (source / "scene.json").write_text(json.dumps(tomllib.loads(HEAD + SPHERE)))
     with np.load(source / "rays.npz") as stored:
         rows = stored["rays"]
-    np.save(source / "rays.npy", rows)
     hits = caster.cast(scene, rows[:, :3].astype(float), rows[:, 3:6].astype(float))
     n = np.where(np.isfinite(hits.t)[:, None], hits.normal, 0.0)
     t = hits.t
     np.savez(source / "hits.npz", t=t.astype("f4"), n=n.astype("f4"))
-    np.save(source / "hits.npy", np.column_stack([t, n]).astype("f4"))
     (source / "expected.toml").write_text('[[failure]]\nscene = "scene"\nchecks = ["depth"]\npixels = 3\nwhy = "x"\n')
-    (source / "answer.npy").write_bytes((source / "hits.npy").read_bytes())
+    (source / "answer.raw").write_bytes(np.column_stack([t, n]).astype("<f4").tobytes())
     (source / "answer.exr").write_bytes((source / "image.exr").read_bytes())
     verdict = (folder / "out" / "verdict.json").read_bytes()
     (source / "shards" / "verdict.json").write_bytes(verdict)
-    (folder / "out" / "references").mkdir()
-    (folder / "out" / "references" / "scene.exr").write_bytes((source / "references" / "scene.exr").read_bytes())

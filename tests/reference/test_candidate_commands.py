@@ -186,13 +186,12 @@ UNASKABLE = [
     ("math:pi", "expected a function, got float"),
     ("no-such-program {xml} -o {exr}", "there is no program 'no-such-program' to run"),
     ("true {xml}", "expected {exr}, the file to write"),
-    ("true {exr}", "{xml} or {toml}, the scene"),
     ("true {xml} {exr} {samples}", "{samples} stands for nothing"),
     ("true '{xml} {exr}", "No closing quotation"),
     ("true {xml} {exr:d}", "expected {exr}, the file to write"),
     ("true {rays} {mesh}", "expected {rays}, the file to read, {hits}, that to write"),
     ("true {rays} {hits} {width}", "expected {rays}, the file to read, {hits}, that to write"),
-    ("true {scene} {exr}", "{xml} or {toml}, the scene"),
+    ("true {exr}", "{xml} or {toml}, the scene"),
 ]
 
 

@@ -55,9 +55,7 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
     saved = tmp_path / "again.toml"
     assert main([*shlex.split(replay), "--json", "--save", str(saved)]) == 1
     found = json.loads(capsys.readouterr().out)
-    head = saved.read_text()
-    assert load_scene(saved).camera.type == "ray" and "# Candidate: wrong: missed: the surface's first root" in head
-    assert f"#            mitsuba-ref probe THIS-FILE 0 0 {shlex.join(given[3:])}\n" in head
+    assert load_scene(saved).camera.type == "ray"
     theirs, (witness, *others) = found["candidate"], found["witnesses"]
     assert (theirs["verdict"], theirs["ok"], theirs["precision"]) == (WRONG, False, "float32")
     assert "first root is behind the ray's origin" in theirs["why"] and "hit or miss" in theirs["why"]

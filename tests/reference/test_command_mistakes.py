@@ -70,7 +70,15 @@ MISTAKES = [
     ("mitsuba-ref render scene.toml -o a.exr --aov dept", 2, "unknown, did you mean 'depth'?", "hit, depth, normal"),
     ("caster preview a.exr --aov deptth", 2, "did you mean 'depth'?"),
     ("mitsuba-ref probe scene.toml 16 0", 2, "pixel (16, 0): outside the film, expected 0 <= x < 16"),
-    ("mitsuba-ref check scene.toml --references none", 4, "none/scene.exr", "mitsuba-ref approve"),
+    (
+        "mitsuba-ref compare empty .",
+        4,
+        "FAIL a.exr empty/a.exr: no such file",
+        "FAIL small.exr",
+        "2 images: 0 pass, 2 fail",
+    ),
+    ("mitsuba-ref compare a.exr .", 4, ".: cannot read this EXR image: Is a directory"),
+    ("mitsuba-ref compare . empty", 5, "nothing selected: no .exr file in empty"),
     ("mitsuba-ref validate scene.toml -k 'tea and'", 2, "-k 'tea and': expected parts of names with and, or, not"),
     ("mitsuba-ref compare scene.toml a.exr", 4, "scene.toml: expected an EXR image, got a file that starts with '[fi"),
     ("mitsuba-ref compare a.png a.exr", 4, "a.png: expected an EXR image, got a file that starts with 'PNG'"),
@@ -114,11 +122,10 @@ NEED_MITSUBA = [
     "validate scene.toml --candidate beginners:one",
     "probe scene.toml 3 3",
     "render scene.toml -o b.exr",
-    "approve scene.toml --references refs",
     "stress scale --rays 4",
     "fuzz --examples 1",
     "bench one-sphere --size 16 --alternations 1",
-    "judge --scene scene.toml --rays rays.npy --hits hits.npy",
+    "judge --scene scene.toml --rays rays.npz --hits hits.npz",
 ]
 
 
@@ -140,8 +147,8 @@ def folder(tmp_path, monkeypatch):
     ):
         Path(name).write_text(text)
     Path("mesh.toml").write_text(SCENE.replace('type = "cube"', 'type = "mesh"\nfile = "missing.ply"'))
-    np.save("rays.npy", np.array([[0, 0, 9, 0, 0, -1, 0, np.inf]]))
-    np.save("hits.npy", np.ones((1, 1)))
+    np.savez("rays.npz", rays=np.array([[0, 0, 9, 0, 0, -1, 0, np.inf]]))
+    np.savez("hits.npz", t=np.ones(1))
     for name, size in (("a.exr", (16, 12)), ("small.exr", (8, 6))):
         scene = caster.load_scene("scene.toml").with_film(width=size[0], height=size[1])
         write_render(name, scene, [caster.render(scene, ("depth",))], "scene.toml")

@@ -35,16 +35,12 @@ def test_one_pixel_does_not_cost_what_the_film_does():
     assert len(stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)).d) <= STAND_IN_PIXELS
 
 
-@pytest.mark.parametrize("words", [("probe", "0", "0"), ("approve", "--yes", "--references", "refs")])
 @pytest.mark.slow("waits for a time-out")
-def test_mitsuba_may_be_given_less_time(tmp_path, monkeypatch, capsys, words):
-    """A time-out is a row; the exit code is 1, and no folder is written."""
+def test_mitsuba_may_be_given_less_time(tmp_path, monkeypatch, capsys):
     (tmp_path / "edge.toml").write_text(EDGE)
     monkeypatch.chdir(tmp_path)
-    command, *rest = words
-    assert main([command, "edge.toml", *rest, "--timeout", "0.001"]) == 1
+    assert main(["probe", "edge.toml", "0", "0", "--timeout", "0.001"]) == 1
     assert re.search(r"Mitsuba ended without an answer \(killed after 0\.0\d+ s\)", capsys.readouterr().out)
-    assert not (tmp_path / "refs").exists()
 
 
 @pytest.fixture(scope="module")

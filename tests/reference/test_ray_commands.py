@@ -1,4 +1,4 @@
-"""--candidate-rays: programs of any language that read rays and write hits; right ones pass, planted faults fail."""
+"""--candidate: programs of any language that read rays and write hits; right ones pass, planted faults fail."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ to_world = [{ scale = 3 }, { translate = [0, 0, -2] }]
 """
 
 
-def validate(tmp_path, command, *more, door="--candidate-rays"):
+def validate(tmp_path, command, *more, door="--candidate"):
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["validate", str(tmp_path / "scene.toml"), door, command, "--json", str(tmp_path / "v.json")]
     code = main([*words, *more])
@@ -175,7 +175,7 @@ def test_limits_that_a_program_does_not_have_are_one_finding_of_the_run_and_can_
         "--junit",
         str(tmp_path / "j.xml"),
         "--candidate",
-        f"{sys.executable} {program} {{scene}} {{rays}} {{hits}}",
+        f"{sys.executable} {program} {{toml}} {{rays}} {{hits}}",
     ]
     assert main([*words, "--candidate-precision", "float64"]) == 1
     found, out = json.loads((tmp_path / "v.json").read_text()), capsys.readouterr().out

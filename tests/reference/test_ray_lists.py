@@ -1,6 +1,8 @@
 """`mitsuba-ref judge` on hits of any rays and on EXR files: correct ones pass, and each planted fault is found."""
 
+import io
 import json
+import zipfile
 
 import numpy as np
 import pytest
@@ -69,7 +71,7 @@ def hits_of(scene, rows):
 def given(folder):
     """Rays of several kinds in one list, with limits of all sorts, and right answers."""
     path = str(folder / "scene.toml")
-    kinds = ("camera", "random", "features", "silhouettes", "surface", "shadow")
+    kinds = ("camera", "random", "features", "silhouettes", "surface")
     rows = []
     for kind in kinds:
         assert main(["rays", path, "--kind", kind, "--count", "60", "-o", str(folder / "r.npz")]) == 0
@@ -82,11 +84,11 @@ def given(folder):
     behind[:, 6], before[:, 7] = 1.25 * t, 0.75 * t
     rows = np.concatenate([rows, behind, before]).astype(np.float32)
     rows = rows[rows[:, 7] >= rows[:, 6]]
-    np.save(folder / "rays.npy", rows)
+    np.savez(folder / "rays.npz", rays=rows)
     return rows, hits_of(caster.load_scene(path), rows.astype(np.float64))
 
 
-def judge(folder, hits, *more, rays="rays.npy"):
+def judge(folder, hits, *more, rays="rays.npz"):
     np.savez(folder / "hits.npz", **hits)
     out = folder / "verdict.json"
     words = ["--scene", str(folder / "scene.toml"), "--rays", str(folder / rays), "--hits", str(folder / "hits.npz")]
@@ -95,7 +97,7 @@ def judge(folder, hits, *more, rays="rays.npy"):
 
 
 def test_right_answers_pass_with_ids_limits_and_any_hits(folder, given):
-    """t, normals, ids and occlusion of camera, aimed, secondary and shadow rays, t_min and t_max of each ray's own."""
+    """t, normals, ids and occlusion of camera and aimed rays, t_min and t_max of each ray's own."""
     rows, hits = given
     assert (rows[:, 6] > 0).sum() > 100 and np.isfinite(rows[:, 7]).sum() > 100
     code, scenes = judge(folder, hits)
@@ -160,13 +162,13 @@ def test_float64_rays_are_judged_along_their_own_numbers(folder, given):
     """Rays that float32 does not hold: Mitsuba traces them rounded, and exact arithmetic as they are."""
     rows = given[0][:500].astype(np.float64)
     rows[:, :6] *= 1.0 + 1e-9
-    np.save(folder / "fine.npy", rows)
+    np.savez(folder / "fine.npz", rays=rows)
     hits = hits_of(caster.load_scene(folder / "scene.toml"), rows)
-    code, scenes = judge(folder, {"t": hits["t"], "n": hits["n"]}, rays="fine.npy")
+    code, scenes = judge(folder, {"t": hits["t"], "n": hits["n"]}, rays="fine.npz")
     assert code == 0 and scenes[0]["counts"]["agree"] > 50
-    code, scenes = judge(folder, {"t": hits["t"] * (1.0 + 1e-9)}, rays="fine.npy")
+    code, scenes = judge(folder, {"t": hits["t"] * (1.0 + 1e-9)}, rays="fine.npz")
     assert code == 1
-    code, scenes = judge(folder, {"t": hits["t"] * (1.0 + 1e-9)}, "--precision", "float32", rays="fine.npy")
+    code, scenes = judge(folder, {"t": hits["t"] * (1.0 + 1e-9)}, "--precision", "float32", rays="fine.npz")
     assert code == 0 and scenes[0]["precision"] == "float32"
 
 
@@ -174,7 +176,7 @@ def test_hits_of_the_scene_files_own_numbers_are_named_and_those_of_the_traced_s
     """No float32 number is 0.3: the ball is traced 1e-8 beside the described one."""
     (tmp_path / "roof.obj").write_text(ROOF)
     (tmp_path / "scene.toml").write_text(SCENE.replace("[-0.5, 0.25, 0]", "[-0.53, 0.27, 0.01]"))
-    np.save(tmp_path / "rays.npy", given[0][:120])
+    np.savez(tmp_path / "rays.npz", rays=given[0][:120])
     rows = given[0][:120].astype(np.float64)
     for scene, expected in (("scene.toml", 1), ("traced/scene.toml", 0)):
         if expected == 0:
@@ -194,27 +196,27 @@ def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_pat
     code, (scene,) = judge(folder, wrong, *out)
     text = " ".join(capsys.readouterr().out.split())
     row = int(np.flatnonzero(np.isfinite(hits["t"]))[7])
-    assert code == 1 and f"at ray {row}" in text and f"--rows {row}" in scene["failures"][0]["replay"]
+    assert code == 1 and f"at ray {row}" in text and f"--row {row}" in scene["failures"][0]["replay"]
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"scene.candidate.exr", "scene.verdict.exr", "verdict.json", f"scene.wrong.{row}.toml"} <= files
     assert (tmp_path / "r/index.html").stat().st_size > 10000 and "<failure" in (tmp_path / "j.xml").read_text()
     kept = caster.load_scene(tmp_path / "out" / f"scene.wrong.{row}.toml")
     expected = caster.cast(kept, [kept.camera.origin], [kept.camera.direction]).t[0]
     assert np.isfinite(expected)
-    code, (again,) = judge(folder, wrong, "--rows", str(row))
+    code, (again,) = judge(folder, wrong, "--row", str(row))
     assert code == 1 and again["counts"]["wrong"] == 1 and again["rays"] == [row, row + 1]
 
 
 def test_a_mesh_stands_for_a_scene(folder):
     rows = np.array([[0.25, 1.0, 0.125, 0.0, -1.0, 0.0, 0.0, np.inf]], np.float32)
-    np.save(folder / "one.npy", rows)
+    np.savez(folder / "one.npz", rays=rows)
     camera = {"type": "ray", "origin": (0, 0, 9), "direction": (0, 0, -1)}
     mesh = caster.Scene(shapes=[{"type": "mesh", "file": str(folder / "roof.obj")}], camera=camera)
     t = hits_of(mesh, rows.astype(np.float64))["t"]
-    words = ["judge", "--scene", str(folder / "roof.obj"), "--rays", str(folder / "one.npy"), "--hits"]
+    words = ["judge", "--scene", str(folder / "roof.obj"), "--rays", str(folder / "one.npz"), "--hits"]
     for name, code, values in (("right", 0, t), ("wrong", 1, t * 1.001)):
-        np.save(folder / f"{name}.npy", values.reshape(-1, 1))
-        assert main([*words, str(folder / f"{name}.npy")]) == code
+        np.savez(folder / f"{name}.npz", t=values)
+        assert main([*words, str(folder / f"{name}.npz")]) == code
 
 
 class Bomb:
@@ -228,6 +230,14 @@ def npy_of(shape, dtype="<f8", data=b""):
     """A .npy file whose header may claim anything."""
     header = repr({"descr": dtype, "fortran_order": False, "shape": shape}).encode().ljust(117) + b"\n"
     return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + data
+
+
+def npz_of(member):
+    """A .npz file of these rays."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("rays.npy", member)
+    return out.getvalue()
 
 
 RAY = (0.0, 0.0, 4.0, 0.0, 0.0, -1.0, 0.0, np.inf)
@@ -254,8 +264,8 @@ HOSTILE_RAYS = {
     "start": (changed_ray(c6=1e38, c5=-1e38), "beyond float32"),
     "objects": (np.array([[Bomb()]], object), "allow_pickle=False"),
     "text": (np.array(["a"]), "expected numbers"),
-    "not NumPy": (b"hello, world", "expected a .npz or .npy file"),
-    "claims terabytes": (npy_of((10**12, 8)), "cannot be read"),
+    "no .npz": (npy_of((0, 8)), "expected a .npz file"),
+    "claims terabytes": (npz_of(npy_of((10**12, 8))), "cannot be read"),
     "no zip": (b"PK\x03\x04 nothing", "cannot be read"),
 }
 
@@ -263,13 +273,13 @@ HOSTILE_RAYS = {
 @pytest.mark.parametrize("which", HOSTILE_RAYS)
 def test_rays_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     content, words = HOSTILE_RAYS[which]
-    path = tmp_path / "rays.npy"
+    path = tmp_path / "rays.npz"
     if isinstance(content, bytes):
         path.write_bytes(content)
     else:
-        np.save(path, content, allow_pickle=True)
-    np.save(tmp_path / "hits.npy", np.ones((2, 1)))
-    files = ["--rays", str(path), "--hits", str(tmp_path / "hits.npy")]
+        np.savez(path, rays=content)
+    np.savez(tmp_path / "hits.npz", t=np.ones(2))
+    files = ["--rays", str(path), "--hits", str(tmp_path / "hits.npz")]
     code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
     error = capsys.readouterr().err
     assert code in (2, 4) and words in error and str(path) in error and "Traceback" not in error
@@ -290,8 +300,8 @@ HOSTILE_HITS = {
 def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     arrays, expected, words = HOSTILE_HITS[which]
     np.savez(tmp_path / "hits.npz", **arrays)
-    np.save(tmp_path / "rays.npy", np.array([RAY, RAY]))
-    files = ["--rays", str(tmp_path / "rays.npy"), "--hits", str(tmp_path / "hits.npz")]
+    np.savez(tmp_path / "rays.npz", rays=np.array([RAY, RAY]))
+    files = ["--rays", str(tmp_path / "rays.npz"), "--hits", str(tmp_path / "hits.npz")]
     code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
     text = " ".join("".join(capsys.readouterr()).split())
     assert code == expected and words in text and "Traceback" not in text

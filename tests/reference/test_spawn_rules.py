@@ -99,7 +99,7 @@ def test_files_of_spawned_rays_that_cannot_be_judged(judged):
     np.savez("short.npz", rays=rays["rays"], parent=rays["parent"][1:])
     np.savez("miss.npz", rays=rays["rays"][:1], parent=[0])
     for name, code, words in (
-        ("no-parent", 4, "got no parent"),
+        ("no-parent", 4, "expected arrays of rays, parent, got rays"),
         ("beyond", 2, "parent[0]: expected a ray of"),
         ("short", 2, "whole numbers"),
         ("miss", 5, "nothing judged"),

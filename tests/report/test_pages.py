@@ -310,7 +310,7 @@ def test_two_images_without_a_judge_have_the_same_viewer(visit, tmp_path):
     compare_exr(*files, html=tmp_path / "report")
     opened = visit(tmp_path / "report/index.html")
     page = opened.page
-    page.wait_for_selector("#summary >> text=FLIP")
+    page.wait_for_selector("#summary >> text=largest difference")
     assert "largest difference" in page.inner_text("#summary") and "beyond their bound" in page.inner_text("#summary")
     assert page.locator("[data-layer]").all_inner_texts() == ["1\nbeauty.RGB", "2\nlevel"]
     assert not page.locator("[data-view=class]").is_visible() and not page.locator("[data-do=back]").is_visible()

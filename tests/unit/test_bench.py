@@ -230,7 +230,6 @@ def test_the_page_has_the_conditions_every_row_and_the_plot(tmp_path):
     ("words", "code", "says"),
     [
         ("mesh-70", 2, "scene 'mesh-70': unknown, did you mean 'mesh-70k'?"),
-        ("-k no-such", 5, "nothing selected"),
         ("one-sphere --threads 4096", 2, "--threads 4096: this process may use"),
         ("one-sphere --aov depht", 2, "aov 'depht': unknown, did you mean 'depth'?"),
         ("rays --aov depth", 5, "nothing selected"),
@@ -244,10 +243,7 @@ def test_wrong_usage_is_reported(words, code, says, capsys):
 
 @pytest.mark.parametrize(
     ("words", "names"),
-    [
-        ("-k rays", "rays-coherent rays-incoherent"),
-        ("one-sphere --aov depth,normal,uv --aov position", "one-sphere:depth,normal,uv one-sphere:position"),
-    ],
+    [("rays", "rays-coherent rays-incoherent"), ("one-sphere --aov depth,normal,uv", "one-sphere:depth,normal,uv")],
 )
 def test_scenes_are_listed(words, names, capsys):
     assert main(["bench", *words.split(), "--list"]) == 0

@@ -9,7 +9,8 @@ import OpenEXR
 import pytest
 
 from caster.description.errors import SceneError
-from caster.image.exr import read_exr, write_exr
+from caster.image.exr import write_exr
+from mitsuba_ref.__main__ import main
 from mitsuba_ref.error_model.tolerances import DEPTH_RTOL
 from mitsuba_ref.exr_compare.two_files import FileComparison, Tolerances, compare_exr
 
@@ -339,11 +340,10 @@ def test_a_failure_states_how_many_how_far_where_and_what_next(tmp_path):
     ours = with_value("depth.Z", 3.25)
     write_exr(tmp_path / "ours.exr", ours, SCENE | {"caster/scene": "scenes/two balls.toml"})
     write_exr(tmp_path / "reference.exr", EXACT, SCENE)
-    result = compare_exr(tmp_path / "ours.exr", tmp_path / "reference.exr", diff=tmp_path / "diff.exr")
+    result = compare_exr(tmp_path / "ours.exr", tmp_path / "reference.exr")
     expected = f"FAIL  depth: 1 of {HIT.sum()} hit pixels"
     line = next(line for line in result.messages if line.startswith(expected))
     assert "worst" in line and "at (15, 14) in depth.Z: ours 3.25, reference 2." in line
-    assert any(f"look:   {tmp_path / 'diff.exr'}" in message for message in result.messages)
     assert "      replay: mitsuba-ref probe 'scenes/two balls.toml' 15 14" in result.messages
 
 
@@ -351,11 +351,9 @@ def test_pixels_are_named_on_the_film(tmp_path):
     window = {"data_window": (100, 200, 132, 224), "display_window": (0, 0, 640, 480)}
     write_exr(tmp_path / "a.exr", with_value("depth.Z", 3.25), **window)
     write_exr(tmp_path / "b.exr", EXACT, **window)
-    result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", diff=tmp_path / "d.exr")
+    result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
     worst = group(result, "depth").worst
     assert (worst.x, worst.y) == (115, 214)
-    assert read_exr(tmp_path / "d.exr").data_window == (100, 200, 132, 224)
-    assert read_exr(tmp_path / "d.exr").display_window == (0, 0, 640, 480)
 
 
 def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
@@ -403,24 +401,36 @@ def test_the_json_is_strict_and_holds_the_counts(tmp_path):
     json.dumps(compared(tmp_path, renamed(EXACT, "A", "a")).model_dump(mode="json"), allow_nan=False)
 
 
-# ---- the difference image ----
+# ---- two folders ----
 
 
-def test_the_difference_image_is_signed_and_classifies_every_pixel(tmp_path):
-    ours = with_value("depth.Z", 3.25)
-    ours["A"][0, 0], ours["A"][MISS] = ours["A"][0, 0], 1  # hit by ours only
-    ours["depth.Z"][MISS] = 9.0
-    ours["normal.X"][INSIDE[0], INSIDE[1] + 1] = np.nan
-    compared(tmp_path, ours, EXACT, diff=tmp_path / "diff.exr")
-    diff = read_exr(tmp_path / "diff.exr")
-    assert set(diff.channels) == {*EXACT, "class.I"}
-    assert diff.channels["depth.Z"][INSIDE] == np.float32(3.25 - float(EXACT["depth.Z"][INSIDE]))
-    assert np.isneginf(diff.channels["depth.Z"][MISS])
-    classes = diff.channels["class.I"]
-    assert classes.dtype == np.uint32
-    assert (classes[INSIDE], classes[MISS], classes[INSIDE[0], INSIDE[1] + 1]) == (2, 3, 4)
-    rest = np.ones(HIT.shape, bool)
-    rest[INSIDE] = rest[MISS] = rest[INSIDE[0], INSIDE[1] + 1] = False
-    assert np.array_equal(classes[rest], HIT[rest].astype(np.uint32))
-    assert all(not diff.channels[name][rest].any() for name in EXACT)  # inf against inf is no difference
-    assert "3 hit in one image only" in diff.provenance["caster/class"]
+def test_files_of_the_same_names_are_compared_and_the_highest_code_counts(tmp_path, capsys):
+    folders = tmp_path / "ours", tmp_path / "references"
+
+    def run(*more):
+        code = main(["compare", *map(str, folders), *more])
+        return code, capsys.readouterr().out
+
+    for folder in folders:
+        folder.mkdir()
+        for name in ("a", "b"):
+            write_exr(folder / f"{name}.exr", EXACT, SCENE)
+    write_exr(folders[0] / "new.exr", EXACT)
+    code, out = run()
+    assert code == 0 and "PASS  a.exr  " in out and "2 images: 2 pass, 0 fail" in out
+    assert "not compared, without a reference: new.exr" in out
+    write_exr(folders[0] / "b.exr", with_value("depth.Z", 3.25), SCENE)
+    code, out = run()
+    assert code == 1 and "PASS  a.exr" in out and "FAIL  b.exr  depth: 1 of " in out and "(15, 14)" in out
+    assert run("--max-pixels", "1")[0] == 0 and run("--ignore", "depth")[0] == 0
+    (folders[0] / "a.exr").unlink()
+    code, out = run()
+    assert (
+        code == 4
+        and "FAIL  a.exr" in out
+        and "no such file" in out
+        and "FAIL  b.exr  depth" in out
+        and "2 images: 0 pass, 2 fail" in out
+    )
+    assert [each["exit_code"] for each in json.loads(run("--json")[1])] == [4, 1]
+    assert main(["compare", *map(str, folders), "--html", str(tmp_path / "page")]) == 2

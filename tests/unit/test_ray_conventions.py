@@ -163,7 +163,7 @@ LIMITED = [
 def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says):
     program = tmp_path / "program.py"
     program.write_text(CASTER.format(body=body))
-    words = sys.executable, str(program), "{scene}", "{rays}", "{hits}"
+    words = sys.executable, str(program), "{toml}", "{rays}", "{hits}"
     subject = RayCommand("program", words, "float64", 60.0)
     found = check_ray_limits(subject)
     assert found.ok is ok and found.what.startswith(says), found.what

@@ -9,7 +9,6 @@ from verdict_factory import scene, verdict
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import RESULTS, result_schema
-from mitsuba_ref.exr_compare.approved import ImageChecks
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.judge.verdict import Failure
 
@@ -47,11 +46,3 @@ def test_a_comparison_fits_also_where_a_value_is_not_a_number():
     record = result.model_dump(mode="json")
     fits("compare", record)
     assert record["groups"][0]["worst"]["ours"] == "nan" and record["groups"][0]["worst"]["ratio"] == "inf"
-
-
-def test_checks_of_approved_images_fit():
-    stale = FileComparison(ours="a", reference="a.exr", exit_code=1, reasons=("stale",))
-    checks = ImageChecks(scenes=(stale,))
-    record = checks.model_dump(mode="json")
-    fits("check", record)
-    assert record["ok"] is False and record["scenes"][0]["messages"] == ["FAIL  stale"]
