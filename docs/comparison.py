@@ -16,6 +16,7 @@ import caster
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import read_exr, write_exr
 from mitsuba_ref import render_reference
+from mitsuba_ref.exr_compare.comparison_page import flip
 from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.report.results import plural
 
@@ -75,30 +76,9 @@ def verdicts(folder: Path, a: Path, b: Path) -> list[str]:
     return [
         {0: "pass", 1: f"**fail**, {plural(ours.differing_pixels, 'pixel')}", 3: "**not comparable**"}[ours.exit_code],
         {0: "pass", 1: "pass, warns", 2: "**fail**", 3: "**fail**"}.get(idiff, f"exit {idiff}"),
-        flip(folder, *colors),
+        flip(*colors).partition(":")[0],
         root_mean_square(folder, *colors),
     ]
-
-
-# In a process of its own, since the library ends the process for images that it cannot judge.
-FLIP = """
-import sys
-import numpy as np
-import flip_evaluator
-a, b = np.load(sys.argv[1]), np.load(sys.argv[2])
-print(flip_evaluator.evaluate(b, a, "HDR", applyMagma=False)[1])
-"""
-
-
-def flip(folder: Path, *colors: np.ndarray) -> str:
-    """The mean of NVIDIA's FLIP."""
-    if not all(np.isfinite(image).all() for image in colors):
-        return "not computed"
-    paths = [str(folder / name) for name in ("a.npy", "b.npy")]
-    for path, image in zip(paths, colors, strict=True):
-        np.save(path, np.maximum(image, 0.0).astype(np.float32))
-    end = subprocess.run([sys.executable, "-c", FLIP, *paths], capture_output=True, text=True, check=True)
-    return f"{float(end.stdout):.4g}"
 
 
 def root_mean_square(folder: Path, *colors: np.ndarray) -> str:

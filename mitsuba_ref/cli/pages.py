@@ -1,4 +1,4 @@
-"""`mitsuba-ref docs`: a page of the documentation, in the terminal."""
+"""`mitsuba-ref docs`: a page of the documentation, in the terminal or of the built site in a browser."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import os
 import shutil
 import signal
 import sys
+import webbrowser
 from pathlib import Path
 
-from caster.description.errors import SceneError, suggestion
+from caster.description.errors import FileMissing, SceneError, suggestion
 from caster.system.process import OK
 
 # In a clone a link to docs/, in a wheel a copy of its pages.
 PAGES = Path(__file__).resolve().parents[1] / "pages"
+SITE = PAGES.resolve().parent / "build/site"  # where `make site` builds it
 MAP = "README"
 LARGEST_WIDTH = 100  # columns of running text
 
@@ -21,10 +23,15 @@ LARGEST_WIDTH = 100  # columns of running text
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "such as candidates, internals/jit or jit; default: the list of all pages"
     parser.add_argument("page", metavar="PAGE", nargs="?", type=str, default=MAP, help=help_)
+    parser.add_argument("--html", action="store_true", help="open the page of the site that `make site` has built")
 
 
 def run(args: argparse.Namespace) -> int:
-    show((PAGES / f"{full_name(args.page)}.md").read_text(encoding="utf-8"))
+    name = full_name(args.page)
+    if args.html:
+        open_in_browser(name)
+    else:
+        show((PAGES / f"{name}.md").read_text(encoding="utf-8"))
     return OK
 
 
@@ -40,6 +47,17 @@ def full_name(page: str) -> str:
         hint = f": in that folder are {below}" if below else suggestion(wanted, [*sorted(names - {MAP}), *short])
         raise SceneError(f"docs: there is no page {page!r} (mitsuba-ref docs lists all){hint}")
     return short[wanted]
+
+
+def open_in_browser(name: str) -> None:
+    """Raises FileMissing if the site has not been built."""
+    page = SITE / ("index" if name == MAP else name)
+    address = page.with_name(page.name + ".html")
+    if not address.exists():
+        way_out = "in a clone, `make site` builds the site; without --html the page is shown here"
+        raise FileMissing(f"{address}: not found: {way_out}")
+    print(address.as_uri())
+    webbrowser.open(address.as_uri())
 
 
 def show(text: str) -> None:

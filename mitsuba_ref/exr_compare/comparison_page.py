@@ -1,5 +1,6 @@
 """`compare --html`: two images on the page of a report, with measures of other tools as information."""
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,10 +9,12 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.image.exr import NO_ID
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult
 from mitsuba_ref.exr_compare.pixel_bounds import ExrPair
 from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.html_report import (
     MAX_PIXELS,
     index_row,
@@ -33,6 +36,7 @@ class Layer(NamedTuple):
     ours: Array
     reference: Array
     ratio: Array  # (h, w) error over bound, of the worst channel
+    colors: bool  # red, green and blue
 
 
 def layers_of(pair: ExrPair, groups: Iterable[tuple[GroupResult, Array]]) -> dict[str, Layer]:
@@ -42,12 +46,14 @@ def layers_of(pair: ExrPair, groups: Iterable[tuple[GroupResult, Array]]) -> dic
         ours, reference = pair.values(group.channels)
         if pair.reference.channels[group.channels[0]].dtype == np.uint32:
             ours, reference = (np.where(values == NO_ID, -1.0, values) for values in (ours, reference))
-        found[group.name] = Layer(ours, reference, ratio)
+        colors = "".join(name[-1] for name in group.channels) == "RGB"
+        found[group.name] = Layer(ours, reference, ratio, colors)
     return dict(sorted(found.items(), key=lambda item: (-item[1].ratio.max(), item[0] == "hit")))
 
 
 def measures(pair: ExrPair, layers: Mapping[str, Layer]) -> Iterator[tuple[str, str]]:
-    """(what, value) of each layer that differs: mean squared error and largest difference where both images hit."""
+    """(what, value) of each layer that differs: mean squared error and largest difference where both images hit, and
+    FLIP of colours."""
     x0, y0 = pair.reference.data_window[:2]
     both = (pair.hit_ours & pair.hit_reference)[..., None]
     for name, layer in layers.items():
@@ -59,6 +65,37 @@ def measures(pair: ExrPair, layers: Mapping[str, Layer]) -> Iterator[tuple[str, 
             yield f"{name}: mean squared error", f"{(apart**2).sum() / max(known.sum(), 1):.3g}"
         y, x, _ = np.unravel_index(int(apart.argmax()), apart.shape)
         yield f"{name}: largest difference", f"{apart.max():.3g} at ({x0 + x}, {y0 + y})"
+        if layer.colors:
+            yield f"{name}: FLIP, mean", flip(layer.ours, layer.reference)
+
+
+# ---- FLIP of NVIDIA (flip-evaluator), a measure of the difference between two images that an observer sees ----
+
+# In a process of its own, since the library ends the process for images that it cannot judge, such as black ones.
+FLIP_PROGRAM = """
+import sys
+import numpy as np
+import flip_evaluator
+a, b = np.load(sys.argv[1]), np.load(sys.argv[2])
+print(flip_evaluator.evaluate(b, a, "HDR", applyMagma=False)[1])
+"""
+FLIP_SECONDS = 300.0
+FLIP_MISSING = "not computed; pip install flip-evaluator"
+
+
+def flip(ours: np.ndarray, reference: np.ndarray) -> str:
+    """The mean of FLIP for linear colours (h, w, 3), or why it is not known."""
+    if not (np.isfinite(ours).all() and np.isfinite(reference).all()):
+        return "not computed: a value is not finite"
+    with ScratchFolder() as folder:
+        paths = [str(Path(folder) / name) for name in ("ours.npy", "reference.npy")]
+        for path, colors in zip(paths, (ours, reference), strict=True):
+            np.save(path, np.maximum(colors, 0.0).astype(np.float32))
+        end = subprocess_runner.run([sys.executable, "-c", FLIP_PROGRAM, *paths], FLIP_SECONDS)
+    words = end.output.strip().splitlines()[-1:] or [""]
+    if end.code == 0:
+        return f"{float(words[0]):.4g}"
+    return FLIP_MISSING if "No module named 'flip_evaluator'" in words[0] else f"not computed: {words[0]}"
 
 
 # ---- the page ----

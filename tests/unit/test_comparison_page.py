@@ -1,11 +1,14 @@
 """`compare --html`: any two images, with measures that decide nothing."""
 
+import importlib.util
+
 import numpy as np
 import OpenEXR
 import pytest
 
 from caster.image.exr import write_exr
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare.two_files import compare_exr
 
 HEIGHT, WIDTH = 6, 9
@@ -48,7 +51,7 @@ def test_the_page_has_each_layer_and_states_measures_for_information(compared, t
     assert found["roughness: largest difference"] == f"0.5 at ({AT[1]}, {AT[0]})"
     assert found["roughness: mean squared error"] == f"{0.25 / (HEIGHT * WIDTH):.3g}"
     assert found["diffuse: largest difference"] == f"0.25 at ({AT[1]}, {AT[0]})"
-    assert not any(what.startswith("depth") for what in found)  # which is equal
+    assert "diffuse: FLIP, mean" in found and not any(what.startswith("depth") for what in found)  # which is equal
     assert "for information:" in result.format_table() and (tmp_path / "page/index.html").is_file()
     words = ["compare", *(str(tmp_path / f"{each}.exr") for each in "ab"), "--html", str(tmp_path / "page")]
     assert main(words) == 1
@@ -76,3 +79,21 @@ def test_values_that_are_not_finite_are_no_part_of_a_measure(tmp_path):
     found = dict(compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", html=tmp_path / "page").measures)
     assert found["diffuse: mean squared error"] == f"{0.25 / 6:.3g}"  # of the two pixels that both hit, finite
     assert found["diffuse: largest difference"] == "0.5 at (0, 0)"
+    assert found["diffuse: FLIP, mean"] == "not computed: a value is not finite"
+
+
+# ---- FLIP ----
+
+
+def test_without_flip_the_way_to_it_is_stated(monkeypatch):
+    monkeypatch.setattr(comparison_page, "FLIP_PROGRAM", "raise ImportError(\"No module named 'flip_evaluator'\")")
+    grey = np.full((4, 4, 3), 0.5)
+    assert comparison_page.flip(grey, grey) == "not computed; pip install flip-evaluator"
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("flip_evaluator"), reason="flip-evaluator is not installed")
+def test_flip_is_0_for_equal_images_and_a_black_one_does_not_end_the_program():
+    ramp = np.linspace(0.0, 1.0, 300).reshape(10, 10, 3)
+    assert comparison_page.flip(ramp, ramp) == "0"
+    assert 0.0 < float(comparison_page.flip(ramp, np.flip(ramp, 1))) < 1.0
+    assert comparison_page.flip(0.0 * ramp, 0.0 * ramp).startswith("not computed: ")

@@ -8,6 +8,7 @@ import pytest
 from places import ROOT
 
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.cli import pages
 
 DOCS = ROOT / "docs"
 
@@ -54,3 +55,16 @@ def test_a_misspelt_page_is_suggested_and_the_list_is_named(capsys):
     assert main(["docs", "candidate"]) == 2
     expected = "there is no page 'candidate' (mitsuba-ref docs lists all), did you mean 'candidates'?"
     assert expected in capsys.readouterr().err
+
+
+def test_a_browser_gets_the_page_of_the_site_once_it_is_built(tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr(pages, "SITE", tmp_path)
+    monkeypatch.setattr(pages.webbrowser, "open", opened.append)
+    assert main(["docs", "jit", "--html"]) == 4
+    assert "internals/jit.html: not found: in a clone, `make site`" in capsys.readouterr().err and not opened
+    for name in ("internals/jit.html", "index.html"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert main(["docs", "jit", "--html"]) == main(["docs", "--html"]) == 0
+    assert opened == [(tmp_path / name).as_uri() for name in ("internals/jit.html", "index.html")]
