@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mitsuba_ref.error_model.intersections import Array
+
 if TYPE_CHECKING:
     import caster
 
@@ -59,7 +61,7 @@ class Driver:
         """Build everything that is needed to cast size x size rays. Called once, and timed."""
         raise NotImplementedError
 
-    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
+    def prepare(self, o: Array, d: Array) -> Any:
         """Convert rays (n, 3) float32 to the caster's own form. Not timed."""
         raise NotImplementedError
 
@@ -80,7 +82,7 @@ class Driver:
         self.trace(self.rays)
         return self.count
 
-    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    def answer(self, o: Array, d: Array) -> Array:
         """(n,) float64 t of rays (n, 3) float32, inf on a miss."""
         return np.array(self.trace(self.prepare(o, d)), np.float64)
 
@@ -103,7 +105,7 @@ class Ours(Driver):
         else:
             self.trace(self.prepare(*FIRST_RAY))
 
-    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
+    def prepare(self, o: Array, d: Array) -> Any:
         return o.astype(np.float64), d.astype(np.float64)
 
     def trace(self, rays: Any) -> Any:
@@ -149,7 +151,7 @@ class Candidate(Driver):
         self.request = CastRequest(scene.with_film(width=size, height=size), model, one, folder)
         self.trace(one)
 
-    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
+    def prepare(self, o: Array, d: Array) -> Any:
         from mitsuba_ref.reference.shared_input import endless_rays
 
         return endless_rays(o, d)

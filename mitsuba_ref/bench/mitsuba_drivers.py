@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
 # Our AOVs: as one of its interactions has them, and by the names of its AOV integrator.
@@ -40,7 +41,7 @@ class OfMitsuba(Driver):
         if missing:
             raise CannotRun(f"not written for {missing[0]}")
 
-    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
+    def prepare(self, o: Array, d: Array) -> Any:
         """A ray of arrays, or a list of rays for the scalar variant."""
         if self.work.options["variant"].startswith("scalar"):
             return [mi.Ray3f(a, b, np.inf, 0.0, []) for a, b in zip(o.tolist(), d.tolist(), strict=True)]

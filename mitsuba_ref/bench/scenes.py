@@ -14,9 +14,10 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import Rectangle, SphereCloud
 from mitsuba_ref.bench.drivers import AOVS, FILM, NEAREST
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard.swept_families import unit
 
-Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
+Rays = tuple[Array, Array]  # o, d: (n, 3) float32 each
 
 
 @dataclass(frozen=True)

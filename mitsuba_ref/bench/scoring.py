@@ -9,6 +9,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.bench.drivers import DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, Rays
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.report.results import largest
@@ -47,7 +48,7 @@ class ExactAnswers:
         self.o, self.d = ready.o[some], ready.d[some]
         self.exact = ExactHits(ready, self.o, self.d)
 
-    def score(self, t: np.ndarray, precision: str, *, reference: bool = False) -> Score:
+    def score(self, t: Array, precision: str, *, reference: bool = False) -> Score:
         """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
         answer, exact = Answer(t, None, precision, {}), self.exact
         ratio, hits = exact.ratios(answer, ours=not reference), answer.hit & exact.hit

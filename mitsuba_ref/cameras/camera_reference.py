@@ -9,17 +9,17 @@ import numpy as np
 from caster.description.fields import Camera, Description
 from caster.description.transform import dot_rows, row_lengths
 from caster.scene.model import Film
-from mitsuba_ref.error_model.intersections import stacked_columns, unit
+from mitsuba_ref.error_model.intersections import Array, stacked_columns, unit
 from mitsuba_ref.scene_xml.elements import XmlElement
 
 
 class CameraRays(NamedTuple):
     """Rays through n points of the film, float64. t_max < 0: no ray."""
 
-    o: np.ndarray  # (n, 3) the eye, or points of the plane through it
-    d: np.ndarray  # (n, 3) unit
-    t_min: np.ndarray  # (n,)
-    t_max: np.ndarray  # (n,)
+    o: Array  # (n, 3) the eye, or points of the plane through it
+    d: Array  # (n, 3) unit
+    t_min: Array  # (n,)
+    t_max: Array  # (n,)
 
 
 class ClipRange(NamedTuple):
@@ -62,7 +62,7 @@ class CameraReference:
     describes: type[Description]  # of caster.cameras.CAMERAS
 
     # (description, film, x, y) -> rays through film positions x, y (n,), in pixels
-    rays: Callable[[Any, Film, np.ndarray, np.ndarray], CameraRays]
+    rays: Callable[[Any, Film, Array, Array], CameraRays]
 
     # (description, film, limits) -> the sensor, without its film
     to_xml: Callable[[Any, Film, ClipRange], XmlElement | None] = no_sensor
@@ -82,7 +82,7 @@ class CameraReference:
         return self.describes.model_fields["type"].default
 
 
-def camera_axes(camera: Camera) -> np.ndarray:
+def camera_axes(camera: Camera) -> Array:
     """(3, 3) rows right, up, forward: orthonormal basis of view and up (Gram-Schmidt)."""
     view = np.array(camera.direction if camera.look_at is None else np.subtract(camera.look_at, camera.eye))
     forward = view / row_lengths(view[None])
@@ -93,24 +93,24 @@ def camera_axes(camera: Camera) -> np.ndarray:
     return np.stack([np.cross(forward, up), up, forward])
 
 
-def to_world_directions(camera: Camera, local: np.ndarray) -> np.ndarray:
+def to_world_directions(camera: Camera, local: Array) -> Array:
     """Unit world directions from local directions (n, 3) right, up, forward."""
     (x, y, z), axes = local.T, camera_axes(camera).T
     return unit(stacked_columns(*(x * right + y * up + z * forward for right, up, forward in axes)))
 
 
-def eye_origins(camera: Camera, count: int) -> np.ndarray:
+def eye_origins(camera: Camera, count: int) -> Array:
     return np.tile(np.array(camera.eye, np.float64), (count, 1))
 
 
-def rays_from_eye(camera: Camera, d: np.ndarray, defined: np.ndarray | None = None) -> CameraRays:
+def rays_from_eye(camera: Camera, d: Array, defined: Array | None = None) -> CameraRays:
     """Rays from the eye along d (n, 3), without near or far plane; no ray where `defined` is False."""
     n = len(d)
     t_max = np.full(n, np.inf) if defined is None else np.where(defined, np.inf, -1.0)
     return CameraRays(eye_origins(camera, n), d, np.zeros(n), t_max)
 
 
-def sensor_pose(camera: Camera, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def sensor_pose(camera: Camera, scale: float = 1.0) -> tuple[Array, Array]:
     """(eye, 3x3 matrix) for Mitsuba's sensors, whose x axis points to the left of the image."""
     right, up, forward = camera_axes(camera)
     return np.array(camera.eye), np.column_stack([-right * scale, up * scale, forward])

@@ -21,7 +21,7 @@ from mitsuba_ref.cameras.camera_reference import (
     sensor_pose,
     to_world_directions,
 )
-from mitsuba_ref.error_model.intersections import stacked_columns
+from mitsuba_ref.error_model.intersections import Array, stacked_columns
 from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
 
 
@@ -39,7 +39,7 @@ def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
     return tangent * width / side, tangent * height / side
 
 
-def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def pinhole_rays(camera: Pinhole, film: Film, x: Array, y: Array) -> CameraRays:
     """Rays from the eye through the image plane; near and far are planes, so limits of t vary with the direction."""
     across, above = half_extents(camera, film)
     px, py = camera.principal_point
@@ -53,7 +53,7 @@ def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> C
     )
 
 
-def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[np.ndarray, np.ndarray]) -> XmlElement:
+def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[Array, Array]) -> XmlElement:
     sensor = Element("sensor", type=kind)
     for name, value in numbers.items():
         SubElement(sensor, "float", name=name, value=repr(float(value)))
@@ -93,7 +93,7 @@ PINHOLE = CameraReference(
 )
 
 
-def orthographic_rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> CameraRays:
     """Parallel rays from a window of the camera's width, with square pixels."""
     pixel = camera.width / film.width
     right, up, forward = camera_axes(camera)
@@ -119,9 +119,7 @@ ORTHOGRAPHIC = CameraReference(
 )
 
 
-def circle_rays(
-    camera: Camera, film: Film, x: np.ndarray, y: np.ndarray, theta: Callable[[np.ndarray], np.ndarray]
-) -> CameraRays:
+def circle_rays(camera: Camera, film: Film, x: Array, y: Array, theta: Callable[[Array], Array]) -> CameraRays:
     """An image within a circle. theta: the angle from the axis at distances from the centre, in radii of the circle."""
     radius = min(film.width, film.height) / 2.0
     right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
@@ -132,7 +130,7 @@ def circle_rays(
     return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
 
 
-def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def fisheye_rays(camera: Fisheye, film: Film, x: Array, y: Array) -> CameraRays:
     """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
     return circle_rays(camera, film, x, y, lambda distance: np.deg2rad(camera.fov) / 2.0 * distance)
 
@@ -144,7 +142,7 @@ def random_fisheye(rng: np.random.Generator, size: float, view: RandomView) -> F
 FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
 
 
-def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def panorama_rays(camera: Panorama, film: Film, x: Array, y: Array) -> CameraRays:
     """Equirectangular: a full turn across the film, half a turn from top to bottom, the view in the middle."""
     azimuth = 2.0 * np.pi * (x - film.width / 2.0) / film.width
     polar = np.pi * y / film.height
@@ -155,7 +153,7 @@ def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) ->
 PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
 
 
-def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def parabolic_rays(camera: Parabolic, film: Film, x: Array, y: Array) -> CameraRays:
     """Reflection in a paraboloid: tan(theta / 2) is the distance from the centre of the image, in radii."""
     return circle_rays(camera, film, x, y, lambda distance: 2.0 * np.arctan(distance))
 
@@ -163,7 +161,7 @@ def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) 
 PARABOLIC = CameraReference(Parabolic, parabolic_rays)
 
 
-def ray_rays(camera: Ray, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def ray_rays(camera: Ray, film: Film, x: Array, y: Array) -> CameraRays:
     """The same ray at every film position."""
     count = len(x)
     o, d = (np.tile(np.array(v, np.float64), (count, 1)) for v in (camera.origin, camera.direction))

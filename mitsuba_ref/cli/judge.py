@@ -17,6 +17,7 @@ from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import given_words, load_scene_or_original
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard import rays
 from mitsuba_ref.judge.checks.secondary_rays import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
@@ -65,7 +66,7 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
     return OK
 
 
-def camera_rows(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def camera_rows(scene: Scene) -> tuple[Array, Array]:
     """(n, 8) the rays that `validate` shares with Mitsuba, and (n, 2) their pixels."""
     rays = shared_rays(scene)
     there = np.flatnonzero(rays.t_max >= 0.0)
@@ -73,7 +74,7 @@ def camera_rows(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return rows, np.array([pixel_of(scene, int(row)) for row in there], np.int32).reshape(-1, 2)
 
 
-def aimed_rows(scene: Scene, args: argparse.Namespace) -> np.ndarray:
+def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
     """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
     targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed))
     if not targets.counts.sum():

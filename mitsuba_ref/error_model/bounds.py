@@ -6,6 +6,7 @@ import numpy as np
 
 from caster.aovs import Aovs
 from mitsuba_ref.error_model.intersections import (
+    Array,
     Intersections,
     no_intersections,
     without_float_warnings,
@@ -22,14 +23,14 @@ class Bounds(NamedTuple):
     at: Intersections  # the intersection, with the reference's error bounds
 
 
-def reference_bounds(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
+def reference_bounds(model: SceneModel, prim: Array, o: Array, d: Array, t: Array) -> Bounds:
     """Bounds at the intersection of ray i with prim[i] (n,) that is nearest to t[i] (n,). prim -1 is a miss."""
     own = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     return Bounds(own, intersections_at(model, prim, (o, d), t, KU, ours=False))
 
 
 def intersections_at(
-    model: SceneModel, prim: np.ndarray, line: tuple[np.ndarray, np.ndarray], t: np.ndarray, ku: float, *, ours: bool
+    model: SceneModel, prim: Array, line: tuple[Array, Array], t: Array, ku: float, *, ours: bool
 ) -> Intersections:
     """The intersection of ray i with prim[i] nearest to t[i], with the error bounds of one arithmetic.
 
@@ -50,7 +51,7 @@ PIXELS_PER_BATCH = 1 << 14  # pixels: temporary arrays of three numbers each sta
 
 
 @without_overflow_warnings
-def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
+def nearest_root(met: PairIntersections, t: Array) -> Intersections:
     """The intersection of each pair that is nearest to t (n,), in the order of the pairs."""
     if len(met.pair) == len(t) and (met.pair == np.arange(len(t))).all():
         return met.at
@@ -60,13 +61,13 @@ def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
     return met.at.take(first)
 
 
-def aov_rows(aovs: Aovs, name: str) -> np.ndarray:
+def aov_rows(aovs: Aovs, name: str) -> Array:
     image = aovs[name]
     return image.reshape(-1, *image.shape[2:])
 
 
 @without_float_warnings
-def error_over_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def error_over_bound(error: Array, bound: Array) -> Array:
     """error / bound; inf where either is not a finite number."""
     share = np.where(error == 0.0, 0.0, error / bound)
     fine = np.isfinite(error) & np.isfinite(bound) & np.isfinite(share)
@@ -74,7 +75,7 @@ def error_over_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 
 @without_float_warnings
-def row_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def row_distance(a: Array, b: Array) -> Array:
     """Euclidean distance of rows (n, c); NaN where either is not finite."""
     squares, finite = np.zeros(len(a)), np.ones(len(a), bool)
     for one, other in zip(a.T, b.T, strict=True):  # a sum over an axis of three takes five times as long
@@ -99,7 +100,7 @@ UNIT_LENGTH_ATOL = 16 * 2.0**-53
 
 
 @without_overflow_warnings
-def t_bounds(model: SceneModel, hits: tuple[np.ndarray, np.ndarray], rays: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def t_bounds(model: SceneModel, hits: tuple[Array, Array], rays: tuple[Array, Array]) -> Array:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 
     hits: t, primitive number (n,). rays: o, d (n, 3).

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mitsuba_ref.error_model.intersections import (
+    Array,
     Intersections,
     dot,
     joined,
@@ -31,31 +32,31 @@ NOT_CLAIMED = np.zeros((0, 3))  # in place of normals, positions or uv that the 
 class Claims(NamedTuple):
     """The claimed hits of n rays."""
 
-    t: np.ndarray  # (n,) inf on a miss; NaN: a hit at no claimed t
-    shape: np.ndarray  # (n,) index, -1 on a miss, ANY_SHAPE
-    n: np.ndarray  # (n, 3), or NOT_CLAIMED, as all below
-    sh_n: np.ndarray = NOT_CLAIMED  # (n, 3)
-    p: np.ndarray = NOT_CLAIMED  # (n, 3)
-    t_rounding: float | np.ndarray = 0.0  # (n,) rounding of t itself, where it was computed from a depth
-    prim: np.ndarray | None = None  # (n,) primitive within its shape; None: not claimed
-    uv: np.ndarray = NOT_CLAIMED  # (n, 2)
+    t: Array  # (n,) inf on a miss; NaN: a hit at no claimed t
+    shape: Array  # (n,) index, -1 on a miss, ANY_SHAPE
+    n: Array  # (n, 3), or NOT_CLAIMED, as all below
+    sh_n: Array = NOT_CLAIMED  # (n, 3)
+    p: Array = NOT_CLAIMED  # (n, 3)
+    t_rounding: float | Array = 0.0  # (n,) rounding of t itself, where it was computed from a depth
+    prim: Array | None = None  # (n,) primitive within its shape; None: not claimed
+    uv: Array = NOT_CLAIMED  # (n, 2)
 
 
 class BracketResult(NamedTuple):
     """For each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
 
-    allowed: np.ndarray  # (n,) bool
-    open: np.ndarray  # (n,) bool: the named surface is so nearly edge-on that its t has no bound
+    allowed: Array  # (n,) bool
+    open: Array  # (n,) bool: the named surface is so nearly edge-on that its t has no bound
 
 
 class RayIntersections(NamedTuple):
     """Possible intersections in the range of their rays."""
 
-    ray: np.ndarray  # (m,)
-    prim: np.ndarray  # (m,)
+    ray: Array  # (m,)
+    prim: Array  # (m,)
     at: Intersections
 
-    def take(self, rows: np.ndarray) -> "RayIntersections":
+    def take(self, rows: Array) -> "RayIntersections":
         """Some of them, by index or mask."""
         return RayIntersections(self.ray[rows], self.prim[rows], self.at.take(rows))
 
@@ -63,10 +64,10 @@ class RayIntersections(NamedTuple):
 class RaySegments(NamedTuple):
     """n rays o + t d, t_min < t <= t_max."""
 
-    o: np.ndarray  # (n, 3) float64
-    d: np.ndarray  # (n, 3)
-    t_min: np.ndarray  # (n,)
-    t_max: np.ndarray  # (n,) negative: no ray
+    o: Array  # (n, 3) float64
+    d: Array  # (n, 3)
+    t_min: Array  # (n,)
+    t_max: Array  # (n,) negative: no ray
 
 
 class Bracket:
@@ -76,14 +77,7 @@ class Bracket:
         self.model, self.ku, self.ours, self.closed = model, ku, ours, closed
 
     def judge(
-        self,
-        o: np.ndarray,
-        d: np.ndarray,
-        t_max: np.ndarray,
-        claims: Claims,
-        *,
-        t_min: float | np.ndarray = 0.0,
-        also: np.ndarray | None = None,
+        self, o: Array, d: Array, t_max: Array, claims: Claims, *, t_min: float | Array = 0.0, also: Array | None = None
     ) -> BracketResult:
         """Whether rounding allows each claim.
 
@@ -100,7 +94,7 @@ class Bracket:
             untestable[found.ray[named & ~np.isfinite(found.at.t_error)]] = True
         return BracketResult(np.where(claims.shape == CLAIMED_MISS, np.isinf(latest), fits), untestable)
 
-    def _batches(self, line: RaySegments, also: np.ndarray | None = None) -> Iterator[RayIntersections]:
+    def _batches(self, line: RaySegments, also: Array | None = None) -> Iterator[RayIntersections]:
         """Possible intersections of the rays, all of a ray in one batch. also: as in `judge`."""
         near = self.model.near_pairs(line.o, line.d, ours=self.ours)
         if also is not None:
@@ -110,8 +104,8 @@ class Bracket:
             yield self._intersect_in_range(ray, prim, line)
 
     def blocked(
-        self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, leaving: tuple[np.ndarray, np.ndarray] | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, o: Array, d: Array, t_max: Array, leaving: tuple[Array, Array] | None = None
+    ) -> tuple[Array, Array]:
         """(possibly, certainly) whether anything lies on the rays o + t d, 0 < t < t_max; (n,) bool each.
 
         leaving: (n,) the primitive a ray starts on, and (n,) how far the start may be off its surface. The intersection
@@ -128,9 +122,7 @@ class Bracket:
             certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
         return possible, certain
 
-    def possible_hits(
-        self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: float | np.ndarray = 0.0
-    ) -> RayIntersections:
+    def possible_hits(self, o: Array, d: Array, t_max: Array, t_min: float | Array = 0.0) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
         line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         none = RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
@@ -138,7 +130,7 @@ class Bracket:
         return RayIntersections(np.concatenate(ray), np.concatenate(prim), joined(at))
 
     @without_overflow_warnings
-    def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
+    def _intersect_in_range(self, ray: Array, prim: Array, line: RaySegments) -> RayIntersections:
         met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
         error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
@@ -147,9 +139,7 @@ class Bracket:
         return RayIntersections(rays, prim[met.pair], met.at).take(keep)
 
     @without_overflow_warnings
-    def _fits(
-        self, found: RayIntersections, claims: Claims, line: RaySegments, latest: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _fits(self, found: RayIntersections, claims: Claims, line: RaySegments, latest: Array) -> tuple[Array, Array]:
         """(m,) bool twice: an intersection may be the claimed one, but for its t; and all that is claimed fits.
 
         latest: (m,) the latest t that the first hit of the ray may have.
@@ -175,7 +165,7 @@ class Bracket:
         return named, matches
 
 
-def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
+def within_error(claimed: Array, ray: Array, at: Array, error: Array) -> Array:
     """(m,) bool: claimed (n, 3) is within `error` of `at` at each of m intersections; True where nothing is claimed."""
     if not len(claimed):
         return np.ones(len(ray), bool)
@@ -183,9 +173,7 @@ def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np
 
 
 @without_overflow_warnings
-def latest_hits(
-    found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None, *, closed: bool = True
-) -> np.ndarray:
+def latest_hits(found: RayIntersections, t_max: Array, t_min: Array | None = None, *, closed: bool = True) -> Array:
     """(m,) largest t that rounding allows for a certain hit; inf if the hit is not certain or not in range.
 
     t_min, t_max: (n,) limits of the rays; t_min is 0 if not given. closed: no ray passes between two faces.
@@ -197,7 +185,7 @@ def latest_hits(
     return np.where(in_range, latest, np.inf)
 
 
-def _latest_at_edges(found: RayIntersections) -> np.ndarray:
+def _latest_at_edges(found: RayIntersections) -> Array:
     """(m,) the same for hits in doubt at one edge: finite if a second face shares the edge, as one of the two is hit.
 
     Embree's robust mode guarantees this at edges, not at corners.
@@ -216,8 +204,8 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
 
 
 @without_float_warnings
-def near_ray_start(found: RayIntersections, d: np.ndarray, off: np.ndarray) -> np.ndarray:
+def near_ray_start(found: RayIntersections, d: Array, off: Array) -> Array:
     """(m,) bool: intersections with surfaces no farther from the ray's start than `off` (n,), its uncertainty."""
     height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
-    near: np.ndarray = ~(height > off[found.ray])
+    near: Array = ~(height > off[found.ray])
     return near & (off[found.ray] > 0.0)

@@ -11,6 +11,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from mitsuba_ref.error_model.intersections import Array
+
 # Errors up to this many times the bounds of docs/method.md still count as rounding, though worse than it should be.
 WIDENED_BOUNDS_FACTOR = 16.0
 
@@ -117,7 +119,7 @@ STRETCHED = KnownDefect(
 )
 
 
-def abs_cosine(n: np.ndarray, d: np.ndarray) -> float:
+def abs_cosine(n: Array, d: Array) -> float:
     """|cos| of the angle between two vectors; 1 where one has no length."""
     lengths = float(np.linalg.norm(n) * np.linalg.norm(d))
     return abs(float(n @ d)) / lengths if lengths > 0.0 else 1.0

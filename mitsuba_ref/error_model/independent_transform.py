@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.fields import Shape
-from mitsuba_ref.error_model.intersections import norm, unit, without_float_warnings, without_overflow_warnings
+from mitsuba_ref.error_model.intersections import Array, norm, unit, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import K
 
 
-def compose_transform(steps: Sequence[Any]) -> np.ndarray:
+def compose_transform(steps: Sequence[Any]) -> Array:
     """The 4x4 matrix of the steps of a to_world; the first step acts first."""
     matrix = np.eye(4)
     for step in steps:
@@ -31,7 +31,7 @@ def transform_error_ratio(shape: Shape) -> float:
     return float(np.max(np.abs(shape.matrix - expected) / bound))
 
 
-def _matrix(step: Any) -> np.ndarray:
+def _matrix(step: Any) -> Array:
     if step.translate is not None:
         return _affine(np.eye(3), step.translate)
     if step.scale is not None:
@@ -43,20 +43,20 @@ def _matrix(step: Any) -> np.ndarray:
     return np.array(step.matrix, np.float64)
 
 
-def _affine(linear: np.ndarray, move: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
+def _affine(linear: Array, move: Any = (0.0, 0.0, 0.0)) -> Array:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, move
     return matrix
 
 
-def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+def _rotation(axis: Array, angle: float) -> Array:
     """Rotation matrix from the unit quaternion of half the angle."""
     w, v = np.cos(angle / 2.0), np.sin(angle / 2.0) * axis / np.linalg.norm(axis)
     cross = np.cross(np.eye(3), v)  # cross @ x = v cross x
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
 
-def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _look_at(origin: Array, target: Array, up: Array) -> Array:
     forward = (target - origin) / np.linalg.norm(target - origin)
     left = np.cross(up, forward)
     left = left / np.linalg.norm(left)
@@ -71,9 +71,9 @@ class ExpectedNumbers(NamedTuple):
     """Packed numbers, the expected ones, and the magnitude that rounding on the way scales with."""
 
     what: str
-    packed: np.ndarray
-    expected: np.ndarray
-    size: np.ndarray
+    packed: Array
+    expected: Array
+    size: Array
     rounded: bool = True  # False: the numbers must be equal
 
 
@@ -81,7 +81,7 @@ class ExpectedNumbers(NamedTuple):
 ExpectedPacking = Callable[[Any, Any], Iterator[ExpectedNumbers]]
 
 
-def expected_points(shape: Any, what: str, packed: np.ndarray, points: np.ndarray) -> ExpectedNumbers:
+def expected_points(shape: Any, what: str, packed: Array, points: Array) -> ExpectedNumbers:
     """Points (..., 3) under the shape's to_world."""
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -101,7 +101,7 @@ def exactly(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
 
 
 @without_overflow_warnings
-def transformed_normals(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def transformed_normals(matrix: Array, normals: Array) -> tuple[Array, Array]:
     """(normals (n, 3) in world space, size of their rounding): normals transform like cross products, by cofactors."""
     m = matrix[:3, :3] / np.abs(matrix[:3, :3]).max()
     cofactors = np.stack([np.cross(m[:, i - 2], m[:, i - 1]) for i in range(3)], axis=1)
@@ -117,7 +117,7 @@ NO_NORMAL = np.array([1.0, 0.0, 0.0])  # Mitsuba's normal of a vertex all of who
 
 
 @without_float_warnings
-def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def angle_weighted_normals(vertices: Array, faces: Array) -> tuple[Array, Array]:
     """Vertex normals weighted by face angles, and the size of their rounding (inf where they cancel)."""
     p = np.ldexp(vertices, -np.frexp(np.abs(vertices).max())[1])  # exact: differences cancel no rounding
     total, weight = np.zeros_like(p), np.zeros(len(p))
@@ -136,6 +136,6 @@ def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.
     return normals, np.where(weight > 0.0, size, 1.0)[:, None]
 
 
-def _scaled(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _scaled(a: Array, b: Array) -> Array:
     """a scaled to |a| |b|: Kahan's formula for the angle needs vectors of equal lengths."""
     return a * norm(b)[:, None]

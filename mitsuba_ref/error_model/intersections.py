@@ -20,35 +20,35 @@ LARGEST_COORDINATE = 1.844e18
 class Intersections(NamedTuple):
     """One root of each of m pairs of a ray and a primitive. Errors bound how far off the judged side may be."""
 
-    t: np.ndarray  # (m,) parameter of the intersection, lengths of d
-    t_error: np.ndarray  # (m,) inf where float32 cannot resolve it
-    n: np.ndarray  # (m, 3) geometric normal
-    n_error: np.ndarray  # (m,)
-    sh_n: np.ndarray  # (m, 3) shading normal
-    sh_error: np.ndarray  # (m,)
-    possible: np.ndarray  # (m,) bool: some perturbation within the bound hits
-    certain: np.ndarray  # (m,) bool: every perturbation within the bound hits
-    p_error: np.ndarray  # (m,) bound on the position, scene units
-    uv: np.ndarray  # (m, 3) uv as a point of the kind's UvSpace
-    uv_error: np.ndarray  # (m,) bound on that point
-    edge: np.ndarray  # (m, 6) end points of the only edge that leaves a triangle in doubt, else NaN
-    side: np.ndarray  # (m,) on which side of that edge the triangle lies, -1 or 1; 0 without such an edge
+    t: Array  # (m,) parameter of the intersection, lengths of d
+    t_error: Array  # (m,) inf where float32 cannot resolve it
+    n: Array  # (m, 3) geometric normal
+    n_error: Array  # (m,)
+    sh_n: Array  # (m, 3) shading normal
+    sh_error: Array  # (m,)
+    possible: Array  # (m,) bool: some perturbation within the bound hits
+    certain: Array  # (m,) bool: every perturbation within the bound hits
+    p_error: Array  # (m,) bound on the position, scene units
+    uv: Array  # (m, 3) uv as a point of the kind's UvSpace
+    uv_error: Array  # (m,) bound on that point
+    edge: Array  # (m, 6) end points of the only edge that leaves a triangle in doubt, else NaN
+    side: Array  # (m,) on which side of that edge the triangle lies, -1 or 1; 0 without such an edge
 
-    def take(self, rows: np.ndarray) -> "Intersections":
+    def take(self, rows: Array) -> "Intersections":
         """Some of them, by index or mask."""
         return Intersections(*(a[rows] for a in self))
 
 
 def without_edges(
-    t: np.ndarray,
-    t_error: np.ndarray,
-    n: np.ndarray,
-    n_error: np.ndarray,
-    possible: np.ndarray,
-    certain: np.ndarray,
-    p_error: np.ndarray,
-    uv: np.ndarray,
-    uv_error: np.ndarray,
+    t: Array,
+    t_error: Array,
+    n: Array,
+    n_error: Array,
+    possible: Array,
+    certain: Array,
+    p_error: Array,
+    uv: Array,
+    uv_error: Array,
 ) -> Intersections:
     """Intersections of a kind whose normals are not interpolated, and which has no edges in common with others."""
     edge, side = np.full((len(t), 6), np.nan), np.zeros(len(t))
@@ -68,14 +68,14 @@ def joined(parts: Sequence[Intersections]) -> Intersections:
 
 # (prims, k (m,), o (m, 3), d (m, 3), ku) -> for each root, the intersections of primitive k[i] with ray i.
 # ku is K times the unit round-off of the judged side: KU for the reference, KU_OURS for a float64 caster.
-IntersectFunction = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Intersections, ...]]
+IntersectFunction = Callable[[Any, Array, Array, Array, float], tuple[Intersections, ...]]
 
 
 # (prims, k (m,), uv (m, 2)) -> (m, 3); NaN for uv that the surface does not have
-UvPoints = Callable[[Any, np.ndarray, np.ndarray], np.ndarray]
+UvPoints = Callable[[Any, Array, Array], Array]
 
 
-def plain_uv(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def plain_uv(_prims: Any, _k: Array, uv: Array) -> Array:
     """(u, v, 0): uv without seams or poles are compared as they are."""
     return stacked_columns(*uv.T, np.zeros(len(uv)))
 
@@ -101,73 +101,73 @@ class ErrorModel(NamedTuple):
     uv: UvSpace = UvSpace()
     # (prims) -> (m,): how far beyond each primitive a ray may pass and hit it by the reference's rounding, over the
     # distance of its start; None: no farther than BOX_MARGIN
-    growth: Callable[[Any], np.ndarray] | None = None
+    growth: Callable[[Any], Array] | None = None
 
 
 # Large arrays of vectors (m, 3) are stored column by column: over three neighbours, sums take NumPy four times as long
 # and `np.cross` twelve times.
 
 
-def by_columns(rows: np.ndarray) -> np.ndarray:
+def by_columns(rows: Array) -> Array:
     """The array in column-major order."""
     return np.asfortranarray(rows)
 
 
-def stacked_columns(*columns: np.ndarray) -> np.ndarray:
+def stacked_columns(*columns: Array) -> Array:
     """(m, c) array of columns (m,), in column-major order."""
     return np.stack(columns).T
 
 
-def any_of_columns(rows: np.ndarray) -> np.ndarray:
+def any_of_columns(rows: Array) -> Array:
     """(m,) bool: any of a few columns (m, c) is true. `any` over such an axis takes ten times as long."""
     return np.logical_or.reduce([*rows.T])
 
 
-def all_of_columns(rows: np.ndarray) -> np.ndarray:
+def all_of_columns(rows: Array) -> Array:
     """(m,) bool: all of a few columns (m, c) are true."""
     return np.logical_and.reduce([*rows.T])
 
 
-def largest_of_columns(rows: np.ndarray) -> np.ndarray:
+def largest_of_columns(rows: Array) -> Array:
     """(m,) largest of a few numbers >= 0 in each row (m, c); 0 without columns, NaN if any is NaN."""
     return np.maximum.reduce([np.zeros(len(rows)), *rows.T])
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross(a: Array, b: Array) -> Array:
     """Row-wise cross product, with the bits of `np.cross`."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return stacked_columns(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
 
 
-def ceil_log2(x: np.ndarray) -> np.ndarray:
+def ceil_log2(x: Array) -> Array:
     """The smallest integer k with x <= 2^k, for finite x > 0; exact, where a logarithm would be rounded."""
     fraction, exponent = np.frexp(x)
     return np.asarray(exponent - (fraction == 0.5), np.int64)
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def dot(a: Array, b: Array) -> Array:
     """Row-wise dot product."""
     return np.einsum("ij,ij->i", a, b)
 
 
-def norm(a: np.ndarray) -> np.ndarray:
+def norm(a: Array) -> Array:
     """Length of each row."""
     return np.sqrt(dot(a, a))
 
 
-def unit(a: np.ndarray) -> np.ndarray:
+def unit(a: Array) -> Array:
     """Each row divided by its length; zero rows stay."""
     length = norm(a)
     return a / np.where(length > 0.0, length, 1.0)[:, None]
 
 
-def cross_permanent(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross_permanent(a: Array, b: Array) -> Array:
     """Cross product with magnitudes added in place of subtractions: the size that its rounding scales with."""
     (ax, ay, az), (bx, by, bz) = np.abs(a).T, np.abs(b).T
     return stacked_columns(az * by + ay * bz, ax * bz + az * bx, ay * bx + ax * by)
 
 
-def row_groups(keys: np.ndarray) -> np.ndarray:
+def row_groups(keys: Array) -> Array:
     """(m,) group numbers: equal rows of keys (m, c) form a group, numbered in the order of the keys."""
     order = np.lexsort(keys.T[::-1])  # sorts columns of numbers, where np.unique compares rows one by one
     ordered = keys[order]
@@ -179,17 +179,17 @@ def row_groups(keys: np.ndarray) -> np.ndarray:
     return group
 
 
-def mat_vec_rows(m: np.ndarray, v: np.ndarray) -> np.ndarray:
+def mat_vec_rows(m: Array, v: Array) -> Array:
     """m[i] v[i] for each row."""
     return np.einsum("ijk,ik->ij", m, v)
 
 
-def finite_or_zero(t: np.ndarray, t_error: np.ndarray) -> np.ndarray:
+def finite_or_zero(t: Array, t_error: Array) -> Array:
     """t, or 0 where it is not finite and has no bound: a ray that lies in a flat surface."""
     return np.where(np.isinf(t_error) & ~np.isfinite(t), 0.0, t)
 
 
-def position_error(o: np.ndarray, d: np.ndarray, t: np.ndarray, t_error: np.ndarray, ku: float) -> np.ndarray:
+def position_error(o: Array, d: Array, t: Array, t_error: Array, ku: float) -> Array:
     """Bound on the error of o + t d, from that of t and from the rounding of the sum."""
     return norm(d) * t_error + ku * (norm(o) + np.abs(t) * norm(d))
 
@@ -202,30 +202,30 @@ def position_error(o: np.ndarray, d: np.ndarray, t: np.ndarray, t_error: np.ndar
 SAME_NORMAL_TOLERANCE = 2.0**-12
 
 # (prims, k (m,), n (m, 3), o (m, 3), d (m, 3)) -> (m, c) rows that are equal where pixels are of one group
-GroupKey = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+GroupKey = Callable[[Any, Array, Array, Array, Array], Array]
 
 
-def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+def by_normal(_prims: Any, _k: Array, n: Array, _o: Array, _d: Array) -> Array:
     """Group key of flat primitives: parallel planes, and mirror images of them, may be rounded alike."""
     return np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
 
 
-def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+def by_matrix(prims: Any, k: Array, _n: Array, _o: Array, _d: Array) -> Array:
     """Group key of transformed primitives: abs(to_world), since mirror images round its inverse alike."""
     return np.abs(prims.to_world[k].reshape(len(k), 9))
 
 
-def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+def by_approach(prims: Any, k: Array, _n: Array, o: Array, d: Array) -> Array:
     """Group key of spheres in the scalar variant: solved in float64, but from the closest approach, at a float32 t."""
-    nearest: np.ndarray = dot(prims.center[k] - o, d) / dot(d, d)
+    nearest: Array = dot(prims.center[k] - o, d) / dot(d, d)
     return nearest.astype(np.float32)[:, None]
 
 
-def by_center(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+def by_center(prims: Any, k: Array, _n: Array, _o: Array, _d: Array) -> Array:
     """Group key of spheres in the LLVM variant: float32 throughout, so the centre relative to the origin is rounded."""
     return prims.center[k]
 
 
-def single_group(_prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+def single_group(_prims: Any, k: Array, _n: Array, _o: Array, _d: Array) -> Array:
     """All pixels in one group: for kinds that declare no shared rounding; no bias is tested for them."""
     return np.zeros((len(k), 1))

@@ -12,6 +12,7 @@ import numpy as np
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import (
+    Array,
     Intersections,
     dot,
     largest_of_columns,
@@ -27,29 +28,29 @@ LARGEST_DIRECTION_ERROR = 0.5
 class Materials(NamedTuple):
     """Materials of all shapes."""
 
-    reflectance: np.ndarray  # (shapes, 3), NaN for a texture
-    two_sided: np.ndarray  # (shapes,) bool
+    reflectance: Array  # (shapes, 3), NaN for a texture
+    two_sided: Array  # (shapes,) bool
 
 
 class ShadingPoints(NamedTuple):
     """Positions of m hits, directions of their rays, their shapes, and the error bounds there."""
 
-    p: np.ndarray  # (m, 3)
-    d: np.ndarray  # (m, 3)
-    shape: np.ndarray  # (m,)
+    p: Array  # (m, 3)
+    d: Array  # (m, 3)
+    shape: Array  # (m,)
     at: Intersections
-    albedo: np.ndarray | None = None  # (m, 3) the subject's, which is used where a texture decides it
+    albedo: Array | None = None  # (m, 3) the subject's, which is used where a texture decides it
 
 
 class LightContribution(NamedTuple):
     """Radiance from one light at m pixels, without shadows."""
 
-    radiance: np.ndarray  # (m, 3)
-    error: np.ndarray  # (m, 3)
-    either_side: np.ndarray  # (m, 3) radiance if the lit side faces the ray
-    to_light: np.ndarray  # (m, 3) from p; of unit length for a directional light
-    reach: np.ndarray  # (m,) distance of the light in lengths of to_light: 1 or inf
-    doubtful: np.ndarray  # (m,) bool: so near grazing that either face may be the visible one
+    radiance: Array  # (m, 3)
+    error: Array  # (m, 3)
+    either_side: Array  # (m, 3) radiance if the lit side faces the ray
+    to_light: Array  # (m, 3) from p; of unit length for a directional light
+    reach: Array  # (m,) distance of the light in lengths of to_light: 1 or inf
+    doubtful: Array  # (m,) bool: so near grazing that either face may be the visible one
 
 
 @without_overflow_warnings
@@ -77,18 +78,18 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
     )
 
 
-def reflectance_at(materials: Materials, hit: ShadingPoints) -> np.ndarray:
+def reflectance_at(materials: Materials, hit: ShadingPoints) -> Array:
     """(m, 3) of the material, or of its texture."""
     found = materials.reflectance[hit.shape]
     return found if hit.albedo is None else np.where(np.isnan(found), hit.albedo, found)
 
 
-def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:
+def ambient_radiance(lights: Sequence[Any]) -> Array:
     """(3,) total radiance of the ambient lights."""
     return sum((np.array(light.radiance) for light in lights if light.type == "ambient"), np.zeros(3))
 
 
-def direction_to_light(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def direction_to_light(light: Any, p: Array) -> tuple[Array, Array]:
     """Directions (m, 3) from p (m, 3) to the light, and its distance (m,) in lengths of them."""
     if light.type == "point":
         return np.array(light.position) - p, np.ones(len(p))
@@ -96,7 +97,7 @@ def direction_to_light(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.tile(-direction / np.linalg.norm(direction), (len(p), 1)), np.full(len(p), np.inf)
 
 
-def _flux(light: Any, distance: np.ndarray) -> np.ndarray:
+def _flux(light: Any, distance: Array) -> Array:
     if light.type == "point":
         return np.array(light.intensity) / (distance * distance)[:, None]
     return np.tile(np.array(light.irradiance), (len(distance), 1))
@@ -113,19 +114,19 @@ MAX_UNCERTAIN_LIGHTS = 8
 class LightChoices(NamedTuple):
     """Radiance of each light at m pixels: the first value or, where the light is in doubt, either of two."""
 
-    first: np.ndarray  # (lights, m, 3)
-    first_error: np.ndarray  # (lights, m, 3)
-    second: np.ndarray  # (lights, m, 3)
-    second_error: np.ndarray  # (lights, m, 3)
-    doubt: np.ndarray  # (lights, m) bool
+    first: Array  # (lights, m, 3)
+    first_error: Array  # (lights, m, 3)
+    second: Array  # (lights, m, 3)
+    second_error: Array  # (lights, m, 3)
+    doubt: Array  # (lights, m) bool
 
 
-def certain_lights(value: np.ndarray, error: np.ndarray) -> LightChoices:
+def certain_lights(value: Array, error: Array) -> LightChoices:
     """LightChoices (lights, m, 3) without doubt."""
     return LightChoices(value, error, value, error, np.zeros(value.shape[:2], bool))
 
 
-def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, ku: float) -> np.ndarray:
+def smallest_error_ratio(ours: Array, fixed: Array, choices: LightChoices, ku: float) -> Array:
     """(m,) smallest ratio of error to bound, over all choices of lights, of ours (m, 3) against fixed plus lights."""
     sorted_ = _uncertain_lights_first(choices) if choices.doubt.any() else choices
     count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
@@ -144,7 +145,7 @@ def _uncertain_lights_first(choices: LightChoices) -> LightChoices:
     return LightChoices(first, first_error, second, second_error, np.take_along_axis(choices.doubt, order, axis=0))
 
 
-def _share(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, switched: np.ndarray, ku: float) -> np.ndarray:
+def _share(ours: Array, fixed: Array, choices: LightChoices, switched: Array, ku: float) -> Array:
     first, error = choices.first, choices.first_error
     if switched.any():
         first = np.where(switched, choices.second, first)
@@ -170,12 +171,12 @@ SHADOW_EPSILON = 10 * RAY_EPSILON
 class ShadowRays(NamedTuple):
     """Shadow rays o + t d, 0 < t < t_max."""
 
-    o: np.ndarray  # (m, 3)
-    d: np.ndarray  # (m, 3)
-    t_max: np.ndarray  # (m,)
+    o: Array  # (m, 3)
+    d: Array  # (m, 3)
+    t_max: Array  # (m,)
 
 
-def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray) -> ShadowRays:
+def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: Array, n: Array) -> ShadowRays:
     """Mitsuba's shadow rays: from its p (m, 3), moved along its n (m, 3) to the lit side, to just before the light."""
     near = np.isfinite(lit.reach)
     way = np.where(near[:, None], hit.p + lit.to_light - p, lit.to_light)
@@ -186,16 +187,14 @@ def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: np.ndar
 
 
 def reference_visibility(
-    bracket: Bracket, hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    bracket: Bracket, hit: ShadingPoints, lit: LightContribution, p: Array, n: Array
+) -> tuple[Array, Array]:
     """(may be lit, may be in shadow), (m,) bool each. p, n: Mitsuba's positions and normals, which are checked too."""
     possible, certain = bracket.blocked(*reference_shadow_rays(hit, lit, p, n))
     return ~certain, possible
 
 
-def our_visibility(
-    bracket: Bracket, hit: ShadingPoints, lit: LightContribution, prim: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def our_visibility(bracket: Bracket, hit: ShadingPoints, lit: LightContribution, prim: Array) -> tuple[Array, Array]:
     """(may be lit, may be in shadow) for ours, from the hit point; prim (m,) does not shadow itself at the ray's start.
 
     Rounding of o + t d may move the hit point off the surface.

@@ -13,6 +13,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed, Triangles
 from mitsuba_ref.error_model.intersections import (
+    Array,
     ErrorModel,
     Intersections,
     cross,
@@ -29,7 +30,7 @@ from mitsuba_ref.oracle.boxes import BoxTree
 class PairIntersections(NamedTuple):
     """All intersections of some pairs of a ray and a primitive: row i belongs to pair[i]."""
 
-    pair: np.ndarray  # (m,) index into the requested pairs
+    pair: Array  # (m,) index into the requested pairs
     at: Intersections
 
 
@@ -42,7 +43,7 @@ class SceneModel:
     kinds: tuple[Any, ...]  # the same, joined by kind
     models: tuple[ErrorModel, ...]  # one for each kind
 
-    def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
+    def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
         """Intersections of primitive prim[i] (m,) with the ray o[i], d[i] (m, 3), with error bounds.
 
         ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
@@ -66,7 +67,7 @@ class SceneModel:
             at = at._replace(n=side * at.n, sh_n=side * at.sh_n)
         return PairIntersections(pair, at)
 
-    def _by_kind(self, prim: np.ndarray) -> Iterator[tuple[np.ndarray, ErrorModel, Any, np.ndarray]]:
+    def _by_kind(self, prim: Array) -> Iterator[tuple[Array, ErrorModel, Any, Array]]:
         """(rows of prim (m,), error model, arrays, the rows of these) for each kind among the primitives."""
         kind, k = self.packed.kinds_of(prim)
         for place, model in enumerate(self.models):
@@ -74,7 +75,7 @@ class SceneModel:
             if len(rows):
                 yield rows, model, self.kinds[place], k[rows]
 
-    def uv_points(self, prim: np.ndarray, uv: np.ndarray, *, ours: bool) -> np.ndarray:
+    def uv_points(self, prim: Array, uv: Array, *, ours: bool) -> Array:
         """(n, 3) points that uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.
 
         ours: uv of the subject, not of the reference. 0 where prim is -1, or where the reference traces a stand-in.
@@ -86,13 +87,13 @@ class SceneModel:
                 points[hits[rows]] = space(arrays, k, uv[hits[rows]].astype(np.float64))
         return points
 
-    def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
+    def reference_has_uv(self, prim: Array) -> Array:
         """(n,) bool: the reference has uv of primitive prim[i] itself, not of a stand-in."""
         has = np.array([model.uv.reference is not None for model in self.models], bool)
         return has[self.packed.kinds_of(np.maximum(prim, 0))[0]] if len(has) else prim >= 0
 
     @cached_property
-    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
+    def boxes(self) -> tuple[Array, Array]:
         """(low, high) corners of all primitives, (n, 3) each."""
         low, high = np.empty((self.packed.first[-1], 3)), np.empty((self.packed.first[-1], 3))
         for place, kind in enumerate(self.packed.kinds):
@@ -104,7 +105,7 @@ class SceneModel:
         """Boxes of all primitives, shared by all brackets of the model."""
         return BoxTree(*self.boxes, BOX_MARGIN)
 
-    def near_pairs(self, o: np.ndarray, d: np.ndarray, *, ours: bool) -> Iterator[np.ndarray]:
+    def near_pairs(self, o: Array, d: Array, *, ours: bool) -> Iterator[Array]:
         """(2, m) pairs of a ray o + t d (n, 3) and a primitive that it may hit, in batches; those of a ray in one.
 
         ours: as in intersect.
@@ -129,7 +130,7 @@ class SceneModel:
         return BlurredPrimitives(prim, 0.5 * (low + high), 0.5 * norm(high - low), growth)
 
     @without_overflow_warnings
-    def _blurred_pairs(self, batch: slice, o: np.ndarray, d: np.ndarray) -> Iterator[np.ndarray]:
+    def _blurred_pairs(self, batch: slice, o: Array, d: Array) -> Iterator[Array]:
         """(2, m) pairs of a ray of the batch and a blurred primitive whose sphere, with its growth, its line passes."""
         length = norm(d[batch])[:, None]
         for first in range(0, len(self.blurred.prim), BLURRED_PER_CHUNK):
@@ -148,10 +149,10 @@ BLURRED_PER_CHUNK = 1 << 10  # tested at once with a batch of rays
 class BlurredPrimitives(NamedTuple):
     """Primitives whose ErrorModel.growth is beyond BOX_MARGIN."""
 
-    prim: np.ndarray  # (m,)
-    center: np.ndarray  # (m, 3) of a sphere around each
-    radius: np.ndarray  # (m,)
-    growth: np.ndarray  # (m,)
+    prim: Array  # (m,)
+    center: Array  # (m, 3) of a sphere around each
+    radius: Array  # (m,)
+    growth: Array  # (m,)
 
 
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
@@ -170,9 +171,9 @@ class InstancedModel(SceneModel):
     triangle of height h by up to 2 sqrt(3) u |corner| / h < K u |corner| / h.
     """
 
-    condition: np.ndarray  # (shapes,) of the matrix of each instance, a power of two; 0: no instance
+    condition: Array  # (shapes,) of the matrix of each instance, a power of two; 0: no instance
 
-    def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
+    def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
         """As SceneModel.intersect, with the errors of instances."""
         if ours:
             return super().intersect(prim, o, d, ku, ours=ours)
@@ -190,7 +191,7 @@ class InstancedModel(SceneModel):
         return PairIntersections(np.concatenate(pairs), joined(met))
 
     @without_overflow_warnings
-    def _turned_normals(self, prim: np.ndarray, ku: float) -> np.ndarray:
+    def _turned_normals(self, prim: Array, ku: float) -> Array:
         """(m,) how far the rounding of corners turns normals; 0 for other kinds than triangles."""
         turned = np.zeros(len(prim))
         for rows, _, arrays, k in self._by_kind(prim):
@@ -232,7 +233,7 @@ class UncertainRaysModel(SceneModel):
         """The same model with more rays, for the few disputed pixels."""
         return replace(self, around=REFINED_RAYS_PER_RING, rings=REFINED_RING_RADII)
 
-    def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
+    def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
         """As SceneModel.intersect, widened to enclose the intersections of neighbouring rays."""
         met = super().intersect(prim, o, d, ku, ours=ours)
         found, described = [met.at], self.as_described
@@ -247,16 +248,16 @@ class UncertainRaysModel(SceneModel):
         return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
 
     @without_overflow_warnings
-    def is_unresolved(self, prim: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def is_unresolved(self, prim: Array, d: Array, t: Array) -> Array:
         """(m,) bool: prim[i] (-1: none) is so small at t[i] that the nine rays around d[i] may all miss it."""
         low, high = (corner[np.maximum(prim, 0)] for corner in self.boxes)
         circle = self.shift + self.turn * np.abs(t) * norm(d)
         return (prim >= 0) & (norm(high - low) <= UNRESOLVED_SIZE_IN_CIRCLES * circle)
 
-    def _turned(self, d: np.ndarray) -> np.ndarray:
+    def _turned(self, d: Array) -> Array:
         return (self.turn * norm(d))[:, None]
 
-    def _around(self, d: np.ndarray) -> Iterator[np.ndarray]:
+    def _around(self, d: Array) -> Iterator[Array]:
         """Offsets (m, 3) across the rays: corners of polygons around the rings."""
         along = unit(d)
         other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
@@ -269,7 +270,7 @@ class UncertainRaysModel(SceneModel):
 
 
 @without_overflow_warnings
-def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> Intersections:
+def enclosing_intersections(found: list[Intersections], along: Array) -> Intersections:
     """The first of several intersections of the same pairs, widened to enclose all. along: (m,) added to t_error."""
     middle = found[0]
     off = [np.abs(at.t - middle.t) + at.t_error + along for at in found]

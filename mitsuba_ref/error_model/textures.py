@@ -12,14 +12,12 @@ import numpy as np
 from PIL import Image
 
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.intersections import largest_of_columns, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, largest_of_columns, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU, SRGB_DECODING_ROUNDINGS, U32
 
 
 @without_float_warnings
-def color_ratios(
-    textures: Sequence[Any], shape: np.ndarray, uv: np.ndarray, colors: np.ndarray, ku: float
-) -> np.ndarray:
+def color_ratios(textures: Sequence[Any], shape: Array, uv: Array, colors: Array, ku: float) -> Array:
     """(n,) error over bound of reflectances (n, 3) that one side computed at its own uv (n, 2); 0 without a texture."""
     ratios = np.zeros(len(shape))
     for k, texture in enumerate(textures):
@@ -29,7 +27,7 @@ def color_ratios(
     return ratios
 
 
-def _ratio(texture: Any, uv: np.ndarray, colors: np.ndarray, ku: float) -> np.ndarray:
+def _ratio(texture: Any, uv: Array, colors: Array, ku: float) -> Array:
     """As color_ratios; formulas (21) to (23)."""
     texels, blends = texels_of(texture), texture.filter == "bilinear"
     size, linear, move = texels.shape[1::-1], texture.uv_matrix[:, :2], texture.uv_matrix[:, 2]
@@ -45,11 +43,11 @@ def _ratio(texture: Any, uv: np.ndarray, colors: np.ndarray, ku: float) -> np.nd
     change[(off >= 0.5).any(axis=1)] = np.ptp(texels, axis=(0, 1))  # any texel may be meant
     allowed = [(exact, change + rounding)] if blends else [(value, change + rounding) for value in values]
     ratios = [largest_of_columns(error_over_bound(np.abs(colors - value), bound)) for value, bound in allowed]
-    found: np.ndarray = np.min(ratios, axis=0)
+    found: Array = np.min(ratios, axis=0)
     return found
 
 
-def texels_of(texture: Any) -> np.ndarray:
+def texels_of(texture: Any) -> Array:
     """(h, w, 3) linear reflectances."""
     if texture.type == "checkerboard":
         return np.array([[texture.color0, texture.color1], [texture.color1, texture.color0]])
@@ -59,7 +57,7 @@ def texels_of(texture: Any) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _decoded(file: str, raw: bool, _changed: int) -> np.ndarray:
+def _decoded(file: str, raw: bool, _changed: int) -> Array:
     """The texels of a PNG file, decoded from sRGB unless raw (IEC 61966-2-1)."""
     with Image.open(file) as image:
         encoded = np.asarray(image.convert("RGB")) / 255.0
@@ -67,7 +65,7 @@ def _decoded(file: str, raw: bool, _changed: int) -> np.ndarray:
     return encoded if raw else np.where(low, encoded / 12.92, np.power((encoded + 0.055) / 1.055, 2.4))
 
 
-def _lookup(texture: Any, texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _lookup(texture: Any, texels: Array, x: Array, y: Array) -> Array:
     """(m, 3) reflectances at places in texels."""
     if texture.filter == "nearest":
         return _texels_at(texture, texels, np.floor(x), np.floor(y))
@@ -79,7 +77,7 @@ def _lookup(texture: Any, texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> n
     return found
 
 
-def _texels_at(texture: Any, texels: np.ndarray, *place: np.ndarray) -> np.ndarray:
+def _texels_at(texture: Any, texels: Array, *place: Array) -> Array:
     """(m, 3) of columns and lines, whole numbers; any texel for one that is not finite."""
     numbers = []
     for i, count in zip(place, texels.shape[1::-1], strict=True):
@@ -88,5 +86,5 @@ def _texels_at(texture: Any, texels: np.ndarray, *place: np.ndarray) -> np.ndarr
         if texture.wrap == "mirror":
             i = np.minimum(i, 2 * count - 1 - i)
         numbers.append(np.clip(np.nan_to_num(i), 0, count - 1).astype(np.int64))
-    found: np.ndarray = texels[numbers[1], numbers[0]]
+    found: Array = texels[numbers[1], numbers[0]]
     return found

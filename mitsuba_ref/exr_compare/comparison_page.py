@@ -83,7 +83,7 @@ FLIP_SECONDS = 300.0
 FLIP_MISSING = "not computed; pip install flip-evaluator"
 
 
-def flip(ours: np.ndarray, reference: np.ndarray) -> str:
+def flip(ours: Array, reference: Array) -> str:
     """The mean of FLIP for linear colours (h, w, 3), or why it is not known."""
     if not (np.isfinite(ours).all() and np.isfinite(reference).all()):
         return "not computed: a value is not finite"

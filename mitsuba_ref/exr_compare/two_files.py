@@ -24,7 +24,7 @@ from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, ExrPair, bo
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
 
 FileName = str | os.PathLike[str]
-Image = FileName | Mapping[str, np.ndarray]
+Image = FileName | Mapping[str, Array]
 SIDES = ("ours", "the reference")
 SCENE = "caster/scene"  # provenance: the scene's path
 
@@ -96,7 +96,7 @@ def as_exr(image: Image) -> Exr:
     return Exr(channels, {}, (0, 0, width, height), (0, 0, width, height))
 
 
-def _channels(arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+def _channels(arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
     for name, a in arrays.items():
         if a.ndim == 2:
             yield LAYERS.get(name, (name,))[0], a

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from caster.cameras import CAMERAS
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard.family import Fields
 from mitsuba_ref.hard.rays import Frame
 from mitsuba_ref.shapes import REFERENCES
@@ -19,7 +20,7 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(10.0 ** rng.uniform(np.log10(low), np.log10(high)))
 
 
-def random_rotation(rng: Rng) -> np.ndarray:
+def random_rotation(rng: Rng) -> Array:
     """(3, 3) rotation, uniformly distributed."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
@@ -68,7 +69,7 @@ def random_shapes(rng: Rng, frame: Frame, kinds: Sequence[str], most: int, least
     return [random_shape(rng, frame, kinds) for _ in range(rng.integers(least, most + 1))]
 
 
-def triangle_of(corners: np.ndarray) -> Fields:
+def triangle_of(corners: Array) -> Fields:
     """A triangle with these corners (3, 3), in scene units."""
     return {"type": "triangle", "vertices": corners}
 
@@ -101,7 +102,7 @@ def random_to_world(rng: Rng, frame: Frame) -> list[Fields]:
     return [matrix_step(linear, frame.near(rng, 1.5))]
 
 
-def matrix_step(linear: np.ndarray, move: np.ndarray) -> Fields:
+def matrix_step(linear: Array, move: Array) -> Fields:
     """A step of to_world from a (3, 3) matrix and a translation."""
     return {"matrix": [*np.column_stack([linear, move]), [0.0, 0.0, 0.0, 1.0]]}
 

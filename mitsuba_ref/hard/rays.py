@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Packed, primitive_count
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, POINT_KINDS, Rng, SurfacePoints, random_directions
 
@@ -14,22 +15,22 @@ class Frame(NamedTuple):
     """Frame of a random scene: size, position, condition of transforms, lattice or not."""
 
     size: float = 1.0  # of a shape, scene units; a power of two on the lattice
-    center: np.ndarray = np.zeros(3)
+    center: Array = np.zeros(3)
     condition: float = 1.0  # upper bound, of the linear parts of to_world
     lattice: bool = False
 
-    def on_lattice(self, points: np.ndarray) -> np.ndarray:
+    def on_lattice(self, points: Array) -> Array:
         """The points, rounded to the lattice if this frame has one."""
         if not self.lattice:
             return points
         step = self.size / LATTICE_STEPS
         return step * np.round(points / step)
 
-    def placed(self, points: np.ndarray) -> np.ndarray:
+    def placed(self, points: Array) -> Array:
         """Points around the origin, in sizes, moved into the frame."""
         return self.on_lattice(self.center + self.size * points)
 
-    def near(self, rng: Rng, spread: float, *count: int) -> np.ndarray:
+    def near(self, rng: Rng, spread: float, *count: int) -> Array:
         """(*count, 3) random points around the centre. spread: their standard deviation, in sizes."""
         return self.center + spread * self.size * rng.normal(size=(*count, 3))
 
@@ -37,7 +38,7 @@ class Frame(NamedTuple):
 AT_ORIGIN = Frame()
 
 
-def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:
+def perturbed_by_ulps(rng: Rng, numbers: Array, ulps: int = 2) -> Array:
     """Move each number by up to this many units in the last place."""
     steps = rng.integers(-ulps, ulps + 1, numbers.shape)
     with np.errstate(over="ignore", under="ignore"):
@@ -52,8 +53,8 @@ POINT_SHARES = (0.3, 0.3, 0.2, 0.2)  # of the POINT_KINDS
 class PrimitivePicks(NamedTuple):
     """Primitives, one a row: k counts within the shape."""
 
-    shape: np.ndarray  # (m,)
-    k: np.ndarray  # (m,)
+    shape: Array  # (m,)
+    k: Array  # (m,)
 
 
 class Targets:
@@ -87,23 +88,23 @@ class Targets:
 
 # Aims: functions of (targets, count) that give origins and directions, (count, 3) both.
 
-OriginsAndDirections = tuple[np.ndarray, np.ndarray]
+OriginsAndDirections = tuple[Array, Array]
 Aim = Callable[[Targets, int], OriginsAndDirections]
 
 
 class RayBatch(NamedTuple):
     """Rays o + t d, t_min < t <= t_max."""
 
-    o: np.ndarray  # (n, 3) float64
-    d: np.ndarray  # (n, 3) float64, of any length
-    t_min: np.ndarray  # (n,)
-    t_max: np.ndarray  # (n,)
+    o: Array  # (n, 3) float64
+    d: Array  # (n, 3) float64, of any length
+    t_min: Array  # (n,)
+    t_max: Array  # (n,)
 
-    def taken(self, rows: np.ndarray | slice) -> "RayBatch":
+    def taken(self, rows: Array | slice) -> "RayBatch":
         return RayBatch(*(a[rows] for a in self))
 
 
-def endless(o: np.ndarray, d: np.ndarray) -> RayBatch:
+def endless(o: Array, d: Array) -> RayBatch:
     """Rays without limits."""
     return RayBatch(o, d, np.zeros(len(o)), np.full(len(o), np.inf))
 

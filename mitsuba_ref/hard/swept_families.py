@@ -9,6 +9,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene, plain
 from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, RayBatch, Targets, endless
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
@@ -26,17 +27,17 @@ NO_VIEW: Fields = {  # for rays alone: a camera without a Mitsuba sensor
 # ---- rays
 
 
-def unit(v: np.ndarray) -> np.ndarray:
+def unit(v: Array) -> Array:
     """Each row divided by its length."""
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def directions(rng: Rng, count: int) -> np.ndarray:
+def directions(rng: Rng, count: int) -> Array:
     """(count, 3) unit vectors, uniformly distributed."""
     return unit(rng.normal(size=(count, 3)))
 
 
-def perpendicular(rng: Rng, n: np.ndarray) -> np.ndarray:
+def perpendicular(rng: Rng, n: Array) -> Array:
     """(m, 3) random unit vectors perpendicular to the rows of n."""
     return unit(np.cross(n, directions(rng, len(n))))
 
@@ -46,22 +47,22 @@ def turn(rng: Rng) -> Fields:
     return {"rotate": {"axis": directions(rng, 1)[0], "degrees": rng.uniform(20.0, 340.0)}}
 
 
-def near_origin(rng: Rng) -> np.ndarray:
+def near_origin(rng: Rng) -> Array:
     return rng.normal(scale=0.3, size=3)
 
 
-def rounded(a: np.ndarray) -> np.ndarray:
+def rounded(a: Array) -> Array:
     """The nearest float32 values, as float64."""
     return a.astype(np.float32).astype(np.float64)
 
 
-def towards(o: np.ndarray, p: np.ndarray) -> OriginsAndDirections:
+def towards(o: Array, p: Array) -> OriginsAndDirections:
     """Rays from o to p, d of length 1, aimed from the rounded o."""
     start = rounded(o)
     return start, unit(p - start)
 
 
-def batch(o: np.ndarray, d: np.ndarray) -> RayBatch:
+def batch(o: Array, d: Array) -> RayBatch:
     """The rays, rounded to float32 numbers."""
     with np.errstate(over="ignore"):
         return endless(rounded(o), rounded(d))
@@ -104,14 +105,14 @@ def seen_from(distance: float, shape: Fields) -> HardScene:
     return balanced(draw, shape)
 
 
-Round = Callable[[Rng, np.ndarray, float], Fields]  # a shape of this centre and radius
+Round = Callable[[Rng, Array, float], Fields]  # a shape of this centre and radius
 
 
-def ball(rng: Rng, center: np.ndarray, radius: float) -> Fields:
+def ball(rng: Rng, center: Array, radius: float) -> Fields:
     return {"type": "sphere", "center": center, "radius": radius}
 
 
-def icosphere(rng: Rng, center: np.ndarray, radius: float) -> Fields:
+def icosphere(rng: Rng, center: Array, radius: float) -> Fields:
     """80 triangles, rotated."""
     place = [{"scale": radius}, turn(rng), {"translate": center}]
     return {"type": "icosphere", "subdivisions": 1, "face_normals": True, "to_world": place}
@@ -397,7 +398,7 @@ def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> 
     return HardScene(plain({**NO_VIEW, "material": MATERIALS, "shape": shapes}), aim)
 
 
-def nested(center: np.ndarray, radius: float, inner: float) -> list[Fields]:
+def nested(center: Array, radius: float, inner: float) -> list[Fields]:
     """A sphere of glass within another one."""
     sphere: dict[str, Any] = {"type": "sphere", "center": rounded(center), "material": "glass"}
     return [sphere | {"radius": radius}, sphere | {"radius": inner}]
@@ -407,7 +408,7 @@ def two_walls(rng: Rng, width: float) -> HardScene:
     return leaving_scene(nested(near_origin(rng), 1.0, 1.0 - width), EYE_DISTANCE)
 
 
-def with_mesh(rng: Rng, center: np.ndarray, radius: float) -> list[Fields]:
+def with_mesh(rng: Rng, center: Array, radius: float) -> list[Fields]:
     """Nested spheres, and triangles of glass beside them."""
     beside = icosphere(rng, center + 2.5 * radius * directions(rng, 1)[0], radius)
     return [*nested(center, radius, INNER_SHARE * radius), beside | {"material": "glass"}]

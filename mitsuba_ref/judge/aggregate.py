@@ -15,6 +15,7 @@ from caster.geometry.packing import packed
 from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers
@@ -48,7 +49,7 @@ def quantities_not_given(answer: Answer) -> tuple[str, ...]:
     return tuple(name for name in names if not given.get(name))
 
 
-def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
+def class_counts(judgement: Judgement, hit: Array) -> dict[str, int]:
     """Pixels of each class that are hit or fail."""
     counted = hit | judgement.is_class(*FAILING)
     numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
@@ -118,7 +119,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
 
 
-def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
+def failing_by_check(judgement: Judgement) -> dict[str, Array]:
     """Failing rows by each check that they fail, worst first; under `exact` if they fail none."""
     rows = failing_rows(judgement)
     excess = {name: judgement.excess(name)[rows] for name in judgement.ratios}
@@ -138,7 +139,7 @@ def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str],
     return Failure(x, y, verdict, check, ratio, *answers, why)
 
 
-def decisive_checks(judgement: Judgement, rows: np.ndarray) -> list[str]:
+def decisive_checks(judgement: Judgement, rows: Array) -> list[str]:
     """The check with the largest excess of each row; `exact`, the least specific, only if no other fails."""
     names = list(judgement.ratios)
     excess = np.stack([judgement.excess(name)[rows] for name in names])
@@ -205,7 +206,7 @@ def _value(aovs: Aovs, name: str, row: int) -> Any:
     return value.item() if value.ndim == 0 else value
 
 
-def check_bound(judge: Judge, check: str) -> np.ndarray:
+def check_bound(judge: Judge, check: str) -> Array:
     """(n,) the bound on the error of a check, in the unit of its values: 0 for numbers and hits, nan if unknown."""
     own, pixels = judge.bounds.own, judge.pixels
     if check in ("mask", "shape_id", "prim_id"):

@@ -8,6 +8,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.defect_lookup import defect_name
@@ -223,6 +224,6 @@ def decimal_and_hex(value: float) -> str:
     return f"{value!r} {value.hex()}"
 
 
-def format_numbers(values: np.ndarray) -> str:
+def format_numbers(values: Array) -> str:
     """Decimals, nine digits, of a few numbers."""
     return ", ".join(f"{value:.9g}" for value in values)

@@ -9,10 +9,10 @@ from collections import Counter
 from dataclasses import field
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
 from pydantic.dataclasses import dataclass
 
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import MEASURED_FOR, MIN_GROUPS
 from mitsuba_ref.reference.messages import Coverage
 
@@ -186,7 +186,7 @@ class SceneVerdict:
         return f"<SceneVerdict {self.name}: {'pass' if self.ok else 'fail'}>"
 
     @property
-    def classes(self) -> np.ndarray:
+    def classes(self) -> Array:
         """(h, w) uint8, index into `mitsuba_ref.CLASSES` of each pixel of a verdict of `mitsuba_ref.validate`."""
         return self._judged_film.classes
 

@@ -11,6 +11,7 @@ from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
@@ -199,7 +200,7 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
     return {"hit": answer.hit, "t": t, "ties": ties, "flags": sorted(answer.flags)}
 
 
-def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
+def _answer(scene: Scene, aovs: Aovs, t: Array) -> dict[str, Any]:
     shape = int(aov_rows(aovs, "shape_id")[0])
     values = {name: _numbers(aov_rows(aovs, name)[0]) for name in COMPARED_AOVS if name != "shape_id" and name in aovs}
     return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
 from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
 from mitsuba_ref.judge.classification import EXACT, Judge, reference_prims
@@ -130,7 +131,7 @@ def as_witness(judge: Judge, row: int) -> WitnessAnswer:
     return replace(found, right=bool(adjudicated.right[0] and not found.remark))
 
 
-def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: np.ndarray) -> WitnessAnswer:
+def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: Array) -> WitnessAnswer:
     """The witness with the error of its t, as a share of the loosest bound; unchanged where either misses."""
     if exact.t is None or not np.isfinite(witness.t):
         return witness

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import mitsuba
 import numpy as np
 
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.messages import OpenRequest, OpenResponse
 
 mi: Any = mitsuba
@@ -321,7 +322,7 @@ def _view_of_all(scene: Any, size: Sequence[int] | None) -> Any:
     return mi.load_dict({"type": "perspective", "fov": VIEW_FOV, "to_world": to_world, "film": film, **planes})
 
 
-def _add_texels(parsed: Parsed, bsdf: int, shape: Any, texels: list[np.ndarray]) -> None:
+def _add_texels(parsed: Parsed, bsdf: int, shape: Any, texels: list[Array]) -> None:
     """Add the texels of a material's bitmap (n, 3) and their place among all; without colours it has no material."""
     picture = (parsed.materials[bsdf] or {}).get("reflectance")
     if not isinstance(picture, dict) or picture["type"] != "bitmap" or "texels" in picture:
@@ -419,7 +420,7 @@ def _number(value: Any) -> float:
 NO_FACES = np.zeros((0, 3), np.int32)
 
 
-def _shape(shape: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+def _shape(shape: Any) -> tuple[dict[str, Any], Array, Array]:
     """(record, rows (n, columns) float32, faces (m, 3)) of a loaded shape.
 
     Rows: vertices as vertices_of; control points with their radii; centres, scales and quaternions of ellipsoids.
@@ -448,7 +449,7 @@ def _shape(shape: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     return record, np.zeros((0, 1), np.float32), NO_FACES
 
 
-def vertices_of(mesh: Any) -> np.ndarray:
+def vertices_of(mesh: Any) -> Array:
     """(n, 8) float32: position, normal and uv of each vertex; missing ones are 0."""
     rows = np.zeros((mesh.vertex_count(), 8), np.float32)
     for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.interpreter import child_command
 from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnd,
@@ -90,10 +91,10 @@ class OpenRequest(Message):
 class OpenResponse(Message):
     """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
 
-    numbers: np.ndarray = array("numbers", optional=True)  # rows of all shapes (reference/file_calls.py:_shape)
-    faces: np.ndarray = array("faces", 3, dtype=np.int32, optional=True)
-    texels: np.ndarray = array("texels", 3, optional=True)  # of all bitmaps, row by row
-    rays: np.ndarray = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
+    numbers: Array = array("numbers", optional=True)  # rows of all shapes (reference/file_calls.py:_shape)
+    faces: Array = array("faces", 3, dtype=np.int32, optional=True)
+    texels: Array = array("texels", 3, optional=True)  # of all bitmaps, row by row
+    rays: Array = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
     shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
     placed: Sequence[Any] = ()  # Placements of reference/file_calls.py
     size: Sequence[int] = (1, 1)  # of the film
@@ -151,15 +152,15 @@ class TraceRequest(Message):
 
     xml: Path  # absolute, as mesh_files: the child runs in another folder
     variant: str  # scalar_rgb or llvm_ad_rgb
-    o: np.ndarray = array("rays", 3)
-    d: np.ndarray = array("rays", 3)
-    t_max: np.ndarray = array("rays")  # lengths of d; inf is no limit
+    o: Array = array("rays", 3)
+    d: Array = array("rays", 3)
+    t_max: Array = array("rays")  # lengths of d; inf is no limit
     lights: bool = True  # whether to compute light_rgb, light_visible and albedo
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
     mesh_files: Sequence[Path] = ()  # to be read by Mitsuba's own loader as well
     original: Mapping[str, Any] | None = None  # of an OpenRequest: `xml` is a user's file, to be loaded as it says
-    leaving: np.ndarray = array("origins", 3, optional=True)  # direction of a ray from each hit, for spawn_ray
+    leaving: Array = array("origins", 3, optional=True)  # direction of a ray from each hit, for spawn_ray
 
     def response(self, content: bytes) -> "TraceResponse":
         """The response in a reply. Raises ValueError where it is cut short or malformed."""
@@ -175,22 +176,22 @@ class TraceResponse(Message):
     names: list[str]  # ids of the shapes, as in the XML
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm, processor
     seconds: float  # loading and tracing, without starting Python
-    t: np.ndarray = array("rays")  # lengths of d
-    n: np.ndarray = array("rays", 3)  # geometric normal
-    sh_n: np.ndarray = array("rays", 3)  # shading normal
-    p: np.ndarray = array("rays", 3)
-    uv: np.ndarray = array("rays", 2)
-    prim_uv: np.ndarray = array("rays", 2)  # where on a triangle: barycentrics b1, b2, of which p is made
-    shape: np.ndarray = array("rays", dtype=np.int32)  # index into names; of the instance where one was hit
-    prim: np.ndarray = array("rays", dtype=np.int32)
-    light_rgb: np.ndarray = array("lights", "rays", 3)  # radiance reflected from each light, unshadowed
-    light_visible: np.ndarray = array("lights", "rays", dtype=np.bool_)  # Mitsuba's shadow test
-    albedo: np.ndarray = array("rays", 3)
+    t: Array = array("rays")  # lengths of d
+    n: Array = array("rays", 3)  # geometric normal
+    sh_n: Array = array("rays", 3)  # shading normal
+    p: Array = array("rays", 3)
+    uv: Array = array("rays", 2)
+    prim_uv: Array = array("rays", 2)  # where on a triangle: barycentrics b1, b2, of which p is made
+    shape: Array = array("rays", dtype=np.int32)  # index into names; of the instance where one was hit
+    prim: Array = array("rays", dtype=np.int32)
+    light_rgb: Array = array("lights", "rays", 3)  # radiance reflected from each light, unshadowed
+    light_visible: Array = array("lights", "rays", dtype=np.bool_)  # Mitsuba's shadow test
+    albedo: Array = array("rays", 3)
     stored: bool = False  # the stored response to an equal request; no Mitsuba ran, and `seconds` is 0
-    sensor: np.ndarray = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
-    mesh_corners: np.ndarray = array("faces", 3, 8, optional=True)  # position, normal, uv at corners of mesh files
-    mesh_vertices: np.ndarray = array("faces", 3, dtype=np.int32, optional=True)  # their indices
-    origin: np.ndarray = array("origins", 3, optional=True)  # of the ray that leaves each hit, by spawn_ray
+    sensor: Array = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
+    mesh_corners: Array = array("faces", 3, 8, optional=True)  # position, normal, uv at corners of mesh files
+    mesh_vertices: Array = array("faces", 3, dtype=np.int32, optional=True)  # their indices
+    origin: Array = array("origins", 3, optional=True)  # of the ray that leaves each hit, by spawn_ray
     mesh_faces: Sequence[int] = ()  # face count of each file
     mesh_problems: Sequence[str] = ()  # for each file, why Mitsuba's loader refused it; "" if it did not
 
@@ -227,10 +228,10 @@ class TraceResponse(Message):
 class LoadedMesh(NamedTuple):
     """A mesh file as Mitsuba's loader reads it: float32 values at the corners of its faces, in the file's order."""
 
-    corners: np.ndarray  # (f, 3, 3)
-    normals: np.ndarray  # (f, 3, 3), 0 where there are none
-    uv: np.ndarray  # (f, 3, 2), 0 where there are none
-    vertices: np.ndarray  # (f, 3) int32: corners with the same number share a vertex
+    corners: Array  # (f, 3, 3)
+    normals: Array  # (f, 3, 3), 0 where there are none
+    uv: Array  # (f, 3, 2), 0 where there are none
+    vertices: Array  # (f, 3) int32: corners with the same number share a vertex
     problem: str = ""  # the loader's message if it refused the file
 
 

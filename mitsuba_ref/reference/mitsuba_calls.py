@@ -16,6 +16,7 @@ import mitsuba
 import numpy as np
 
 from caster.system import processor
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference import file_calls, variants
 from mitsuba_ref.reference.messages import OpenRequest, OpenResponse, TraceRequest, TraceResponse
 from mitsuba_ref.scene_xml.elements import shape_and_part
@@ -110,7 +111,7 @@ def _meshes(request: TraceRequest) -> dict[str, Any]:
     }
 
 
-def _sensor_rays(sensor: Any, variant: str) -> np.ndarray:
+def _sensor_rays(sensor: Any, variant: str) -> Array:
     """(n, 7) o, d, t_max through the pixel centres of the crop window, row by row."""
     x, y = _pixel_centers(sensor.film())
     aperture, point = mi.Point2f(CENTER), mi.Point2f
@@ -130,14 +131,14 @@ def _sensor_ray(sensor: Any, position: Any, aperture: Any) -> Any:
         return sensor.sample_ray_differential(0.0, 0.5, position, aperture)[0]
 
 
-def _pixel_centers(film: Any) -> tuple[np.ndarray, np.ndarray]:
+def _pixel_centers(film: Any) -> tuple[Array, Array]:
     """x and y of the crop window's pixel centres, row by row, rounded as in Mitsuba's integrators."""
     (x0, y0), (width, height) = film.crop_offset(), film.crop_size()
     y, x = np.meshgrid(_centers(y0, height), _centers(x0, width), indexing="ij")
     return np.ascontiguousarray(x.ravel()), np.ascontiguousarray(y.ravel())
 
 
-def _centers(offset: int, size: int) -> np.ndarray:
+def _centers(offset: int, size: int) -> Array:
     """fma(offset + k + 1/2, 1/size, -offset/size) in float32; float64 holds the product of two float32 exactly."""
     scale = np.float32(1.0) / np.float32(size)
     shift = np.float64(-np.float32(offset) * scale)
@@ -168,7 +169,7 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
     if emitters and request.original:
         emitters = sorted(emitters, key=lambda emitter: int(emitter.id()))  # ids are numbers in the file's order
     sizes: dict[object, Any] = {"rays": len(request.o), "lights": len(emitters or ())}
-    found: dict[str, np.ndarray] = {
+    found: dict[str, Array] = {
         name: np.zeros([sizes.get(size, size) for size in shape], dtype)
         for name, (shape, dtype) in TraceResponse.arrays().items()
         if "rays" in shape
@@ -221,7 +222,7 @@ def _values(
     return values
 
 
-Hits = Iterator[tuple[Any, dict[str, np.ndarray]]]  # rows of rays that hit something, and the values there
+Hits = Iterator[tuple[Any, dict[str, Array]]]  # rows of rays that hit something, and the values there
 
 
 def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
@@ -251,7 +252,7 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, 
         yield rows, {name: _array_of([hit[name] for hit in hits]) for name in (hits[0] if hits else ())}
 
 
-def _array_of(values: list[Any]) -> np.ndarray:
+def _array_of(values: list[Any]) -> Array:
     """Numbers, or Mitsuba's float32 vectors; converting these one by one takes twenty times as long."""
     if not hasattr(values[0], "__len__"):
         return np.array(values)
@@ -273,7 +274,7 @@ def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, na
     yield rows, found | {"shape": _llvm_shapes(scene, si, count)[rows]}
 
 
-def _llvm_shapes(scene: Any, si: Any, count: int) -> np.ndarray:
+def _llvm_shapes(scene: Any, si: Any, count: int) -> Array:
     """Indices into scene.shapes(). Dr.Jit numbers shapes from 1 in its own order; 0 means no shape."""
     shape, instance = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (si.shape, si.instance))
     numbers = _rows(dr.select(instance != 0, instance, shape), count)
@@ -284,7 +285,7 @@ def _llvm_shapes(scene: Any, si: Any, count: int) -> np.ndarray:
     return index[numbers]
 
 
-def _rows(values: Any, count: int) -> np.ndarray:
+def _rows(values: Any, count: int) -> Array:
     """One value or vector for each ray; Dr.Jit keeps a single one where all are equal."""
-    array: np.ndarray = values.numpy().T
+    array: Array = values.numpy().T
     return np.broadcast_to(array, (count, *array.shape[1:]))

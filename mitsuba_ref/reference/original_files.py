@@ -17,7 +17,7 @@ from caster.description.transform import cross, inverse, is_mirrored, product, r
 from caster.scene.model import Film, Scene
 from caster.shapes import Cylinder, Disk, EllipsoidCloud, LinearCurve, Mesh, Sphere
 from caster.system.process import NOTHING_SELECTED
-from mitsuba_ref.error_model.intersections import ceil_log2
+from mitsuba_ref.error_model.intersections import Array, ceil_log2
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import as_in_file
 from mitsuba_ref.reference.messages import Coverage, Crash, OpenRequest, OpenResponse, TraceRequest
@@ -117,7 +117,7 @@ def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str], list[s
     return judged, left_out, unlit
 
 
-def _pieces(found: OpenResponse, name: str) -> list[np.ndarray]:
+def _pieces(found: OpenResponse, name: str) -> list[Array]:
     """The numbers or faces of each shape."""
     sizes = [record[name] for record in found.shapes]
     return np.split(getattr(found, name), np.cumsum(sizes, dtype=int)[:-1])
@@ -187,7 +187,7 @@ def _with_texels(material: Mapping[str, Any], found: OpenResponse) -> Mapping[st
     return {**material, "reflectance": rest | {"data": data}}
 
 
-def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str]) -> np.ndarray:
+def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str]) -> Array:
     """(n,) bool: rays that hit a shape in Mitsuba which is not among the keys, those of judged shapes."""
     o, d, t_max = (np.ascontiguousarray(found.rays[:, columns]) for columns in (slice(0, 3), slice(3, 6), 6))
     trace = TraceRequest(Path(request.file), found.variant, o, d, t_max)
@@ -195,7 +195,7 @@ def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str])
     if isinstance(answer, Crash):
         raise SceneError(f"{request.file}: {answer.message}")
     judged = np.array([*(name in keys for name in answer.names), True])
-    others: np.ndarray = ~judged[answer.shape]
+    others: Array = ~judged[answer.shape]
     return others
 
 
@@ -218,7 +218,7 @@ def _distinct(label: str, otherwise: str, taken: set[str]) -> str:
 SIMILARITY_RTOL = 8 * 2.0**-24
 
 
-def _shape(record: Mapping[str, Any], numbers: np.ndarray, faces: np.ndarray, instance: Any, named: Any) -> Shape:
+def _shape(record: Mapping[str, Any], numbers: Array, faces: Array, instance: Any, named: Any) -> Shape:
     """A shape of the caster. instance: its matrix, or None. named: more fields. Raises SceneError with the reason."""
     outer = np.eye(4) if instance is None else np.array(instance)
     if not (kind := record["kind"]):
@@ -257,13 +257,13 @@ def _shape(record: Mapping[str, Any], numbers: np.ndarray, faces: np.ndarray, in
     return Sphere(flip_normals=flipped, **_placed(product(outer, matrix)), **named)
 
 
-def _condition(linear: np.ndarray) -> float:
+def _condition(linear: Array) -> float:
     """Condition number of an instance's matrix in the largest component, rounded up to a power of two."""
     grown = product(np.abs(linear), np.abs(inverse(linear)))
     return float(np.ldexp(1.0, int(ceil_log2(grown.sum(axis=1).max()))))
 
 
-def _placed(matrix: np.ndarray) -> dict[str, Any]:
+def _placed(matrix: Array) -> dict[str, Any]:
     return {} if np.array_equal(matrix, np.eye(4)) else {"to_world": [{"matrix": matrix.tolist()}]}
 
 

@@ -9,6 +9,7 @@ from pydantic import PrivateAttr
 
 from caster.description.errors import SceneError
 from caster.scene.model import Film, Scene
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.messages import Coverage, OpenRequest, OpenResponse
 
 
@@ -19,14 +20,14 @@ class Original:
     request: OpenRequest  # with the digest of its files
     opened: OpenResponse
     film: Film
-    start: np.ndarray  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
+    start: Array  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
     keys: tuple[str, ...]  # by which Mitsuba's answers name the scene's shapes
-    condition: np.ndarray  # (shapes,) as in error_model.scene_model.InstancedModel
+    condition: Array  # (shapes,) as in error_model.scene_model.InstancedModel
     has_camera: bool  # whether the caster has a camera like the sensor
     exact_camera: bool  # whether that has the sensor's rays, up to rounding
     coverage: Coverage
 
-    def rows(self, film: Film) -> np.ndarray:
+    def rows(self, film: Film) -> Array:
         """(n,) numbers of the rays in the window of a film of the same size."""
         x0, y0, x1, y1 = self.film.window
         a0, b0, a1, b1 = film.window

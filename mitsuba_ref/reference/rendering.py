@@ -10,7 +10,7 @@ from caster.aovs import AOVS, Aovs
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.error_model.intersections import norm
+from mitsuba_ref.error_model.intersections import Array, norm
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.interpreter import as_in_file
@@ -41,20 +41,20 @@ class ReferenceResult:
     """Mitsuba's response with the scene's shape numbers and lights. Arrays are float64, one row per ray."""
 
     answer: TraceResponse
-    t: np.ndarray  # (n,) lengths of d, inf on a miss
-    shape_id: np.ndarray  # (n,) int32 index of the scene's shape, -1 on a miss
-    unshadowed: np.ndarray  # (lights, n, 3) radiance from each light, without shadows
-    visible: np.ndarray  # (lights, n) bool
-    ambient: np.ndarray  # (n, 3)
+    t: Array  # (n,) lengths of d, inf on a miss
+    shape_id: Array  # (n,) int32 index of the scene's shape, -1 on a miss
+    unshadowed: Array  # (lights, n, 3) radiance from each light, without shadows
+    visible: Array  # (lights, n) bool
+    ambient: Array  # (n, 3)
     robust: bool = True  # Embree's mode, which keeps meshes closed
 
     @property
-    def hit(self) -> np.ndarray:
+    def hit(self) -> Array:
         """(n,) bool. NaN counts as a hit, so that it is noticed."""
         return ~np.isposinf(self.t)
 
     @property
-    def diffuse(self) -> np.ndarray:
+    def diffuse(self) -> Array:
         """(n, 3) radiance from all visible lights and the ambient light."""
         return np.where(self.visible[..., None], self.unshadowed, 0.0).sum(axis=0) + self.ambient
 
@@ -99,7 +99,7 @@ def trace_reference(
     mesh_files: Sequence[Path] = (),
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
-    leaving: np.ndarray | None = None,
+    leaving: Array | None = None,
 ) -> ReferenceResult | Crash:
     """Trace these rays with Mitsuba, in the process that `send` reaches. A crash is a result, too.
 

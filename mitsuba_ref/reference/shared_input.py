@@ -18,7 +18,7 @@ from caster.scene.model import Material, Scene
 from caster.scene.textures import Bitmap, Texture
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
-from mitsuba_ref.error_model.intersections import ceil_log2
+from mitsuba_ref.error_model.intersections import Array, ceil_log2
 from mitsuba_ref.error_model.scene_model import InstancedModel, SceneModel
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats, matrix_element
@@ -36,24 +36,24 @@ class SharedRays(NamedTuple):
     Rays of a list (mitsuba_ref/subjects/ray_files.py) are laid out as a film and may hold float64 values.
     """
 
-    o: np.ndarray  # (n, 3) float32; float64 for a list
-    d: np.ndarray  # (n, 3)
-    t_max: np.ndarray  # (n,) lengths of d; negative: no ray
-    start: np.ndarray  # (n,) float64, distance from the eye to o
-    t_min: np.ndarray | float = 0.0  # (n,) float64 of a list; a hit has t_min < t <= t_max
+    o: Array  # (n, 3) float32; float64 for a list
+    d: Array  # (n, 3)
+    t_max: Array  # (n,) lengths of d; negative: no ray
+    start: Array  # (n,) float64, distance from the eye to o
+    t_min: Array | float = 0.0  # (n,) float64 of a list; a hit has t_min < t <= t_max
 
     @property
     def is_list(self) -> bool:
         """Whether the rays come from a list, not from a camera."""
         return isinstance(self.t_min, np.ndarray)
 
-    def rows(self, rows: np.ndarray | slice) -> "SharedRays":
+    def rows(self, rows: Array | slice) -> "SharedRays":
         """Some of them."""
         arrays: dict[str, Any] = {name: a[rows] for name, a in self._asdict().items() if isinstance(a, np.ndarray)}
         return self._replace(**arrays)
 
     @property
-    def reference_exponent(self) -> np.ndarray:
+    def reference_exponent(self) -> Array:
         """(n,) int. Mitsuba gets directions d / 2^exponent, no longer than 1, and its t counts in their lengths.
 
         Its spheres and ellipsoids use the distance to the centre as t, and lose digits where d is longer than 1.
@@ -71,12 +71,12 @@ class SharedRays(NamedTuple):
         d = np.ldexp(self.d, -self.reference_exponent[:, None])
         return SharedRays(o, _float32(d), _float32(left), self.start)
 
-    def t_of_reference(self, t: np.ndarray) -> np.ndarray:
+    def t_of_reference(self, t: Array) -> Array:
         """(n,) Mitsuba's t converted to t along these rays."""
         return t if not self.is_list else np.ldexp(t, -self.reference_exponent) + self.t_min
 
 
-def endless_rays(o: np.ndarray, d: np.ndarray) -> SharedRays:
+def endless_rays(o: Array, d: Array) -> SharedRays:
     """Rays from o (n, 3) along d without limits, in float32."""
     return SharedRays(_float32(o), _float32(d), np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
 
@@ -93,7 +93,7 @@ def shared_rays(scene: Scene) -> SharedRays:
     return SharedRays(_float32(o), _float32(rays.d), _float32(left), rays.t_min)
 
 
-def _float32(a: np.ndarray) -> np.ndarray:
+def _float32(a: Array) -> Array:
     with np.errstate(over="ignore"):  # values beyond float32 become inf, which the caster refuses
         return np.ascontiguousarray(a, np.float32)
 
@@ -104,7 +104,7 @@ def pixel_of(scene: Scene, row: int) -> tuple[int, int]:
     return x0 + row % (x1 - x0), y0 + row // (x1 - x0)
 
 
-def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def pixel_centers(scene: Scene) -> tuple[Array, Array]:
     """x and y of the window's pixel centres, row by row."""
     x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
     y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")

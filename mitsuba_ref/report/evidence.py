@@ -7,6 +7,7 @@ import numpy as np
 from caster import __version__
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.verdict import CLASSES, FAILING
 
@@ -56,7 +57,7 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
         write_exr(path, channels, about, data_window=scene.film.window, display_window=film)
 
 
-def clipped_to_float32(values: np.ndarray) -> np.ndarray:
+def clipped_to_float32(values: Array) -> Array:
     """Clip finite numbers to the range of float32: the type of the file, in which inf would mean a miss."""
     if values.dtype.kind != "f":
         return values

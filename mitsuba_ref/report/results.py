@@ -14,11 +14,11 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, TextIO
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from caster.system.atomic_files import write_text
 from caster.system.terminal import LINE_CHARACTERS, folded, printable, unfiltered
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.variants import usable_variants
 
 STANDARD_OUTPUT = "-"
@@ -54,7 +54,7 @@ def libllvm() -> str:
     return Path(library).name if library else "none"
 
 
-def largest(values: np.ndarray) -> float | None:
+def largest(values: Array) -> float | None:
     """The largest finite value; None if there is none."""
     finite = [value for value in values.tolist() if math.isfinite(value)]
     return max(finite, default=None)

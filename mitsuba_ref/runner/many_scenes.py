@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from caster.cli.shared_arguments import resized
@@ -18,6 +17,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.atomic_files import OutputError
 from caster.system.cluster import CallEnded
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
@@ -63,7 +63,7 @@ def entries_of_hits(
     path: str,
     scene: Scene,
     rays: RayList,
-    hits: Mapping[str, np.ndarray],
+    hits: Mapping[str, Array],
     where: str,
     precision: str | None = None,
     row: int | None = None,

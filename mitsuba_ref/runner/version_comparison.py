@@ -8,6 +8,7 @@ from pydantic.dataclasses import dataclass
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import row_distance
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import AGREE, RESULT, JsonFloat, SceneVerdict
 from mitsuba_ref.reference.interpreter import chosen
@@ -71,7 +72,7 @@ class VersionComparison:
 
 
 OURS, REFERENCE = "ours", "reference"
-Evidence = dict[str | tuple[str, str], np.ndarray]  # one row a pixel; of a quantity by (its name, the side)
+Evidence = dict[str | tuple[str, str], Array]  # one row a pixel; of a quantity by (its name, the side)
 
 
 def evidence_of(seen: Seen) -> Evidence:
@@ -121,14 +122,14 @@ def _changes(scene: Scene, a: Evidence, b: Evidence) -> Iterator[QuantityChange]
             yield QuantityChange(name, len(rows), float(change.max()), _listed(scene, rows), found)
 
 
-def _errors(errors: np.ndarray, others: np.ndarray) -> VersionErrors:
+def _errors(errors: Array, others: Array) -> VersionErrors:
     if not len(errors):
         return VersionErrors(0.0, 0.0, 0)
     rms, p999 = float(np.sqrt(np.mean(errors**2))), float(np.quantile(errors, QUANTILE))
     return VersionErrors(rms, p999, int((errors < others).sum()))
 
 
-def _listed(scene: Scene, rows: np.ndarray) -> tuple[tuple[int, int], ...]:
+def _listed(scene: Scene, rows: Array) -> tuple[tuple[int, int], ...]:
     return tuple(pixel_of(scene, int(row)) for row in rows[:MAX_LISTED_PIXELS])
 
 

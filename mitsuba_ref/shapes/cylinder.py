@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     small_and_far,
 )
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points
-from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
+from mitsuba_ref.error_model.intersections import Array, ErrorModel, UvSpace, by_matrix
 from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.oracle.exact_kinds import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -48,7 +48,7 @@ LARGEST_SHEAR = 1e-6
 SHEAR_ROUNDING = 8 * U32  # shear of a matrix without any that float32 rounding causes, relative to its size
 
 
-def mitsuba_accepts_matrix(linear: np.ndarray) -> bool:
+def mitsuba_accepts_matrix(linear: Array) -> bool:
     """Whether Mitsuba accepts a 3x3 matrix as that of a round, straight cylinder that is not mirrored."""
     stretch = np.array(polar_decomposition(linear)[1])
     shear = np.max(np.abs([stretch[0, 1], stretch[0, 2], stretch[1, 2], stretch[0, 0] - stretch[1, 1]]))
@@ -56,13 +56,13 @@ def mitsuba_accepts_matrix(linear: np.ndarray) -> bool:
     return bool(shear <= rounding and shear + rounding <= LARGEST_SHEAR and np.linalg.det(linear) > 0.0)
 
 
-def polar_decomposition(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def polar_decomposition(linear: Array) -> tuple[Array, Array]:
     """(rotation, symmetric stretch) whose product is the matrix."""
     u, sizes, v = np.linalg.svd(linear)
     return u @ v, v.T @ np.diag(sizes) @ v
 
 
-def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
+def uv_points(_prims: Any, _k: Array, uv: Array, whole_turn: bool = False) -> Array:
     """Points of the unit cylinder with u the angle as a fraction of a turn, v the height."""
     return np.column_stack([on_circle(uv[:, 0], whole_turn), uv[:, 1]])
 
@@ -112,7 +112,7 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
     return {"p0": p0, "p1": p1, "radius": random_length(rng, lattice)}
 
 
-def view_cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def view_cylinder(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     axis = prims.to_world[k][:, 2]
     sine = np.linalg.norm(np.cross(axis, d)) / (np.linalg.norm(axis) * np.linalg.norm(d))
     return DefectView(axis_angle=float(sine), stretch=float(np.linalg.norm(prims.to_object[k] @ d)))

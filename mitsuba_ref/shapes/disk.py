@@ -17,6 +17,7 @@ from mitsuba_ref.error_model.defect_conditions import (
 )
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
+    Array,
     ErrorModel,
     Intersections,
     UvSpace,
@@ -55,7 +56,7 @@ def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
 
 @without_float_warnings
 def intersect(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, transformed: RayTransform = rays_in_object_space
+    prims: Any, k: Array, o: Array, d: Array, ku: float, transformed: RayTransform = rays_in_object_space
 ) -> tuple[Intersections, ...]:
     """Intersections of ray i with disk k[i]: the plane z = 0 of object space, then the rim."""
     to_object = prims.to_object[k]
@@ -79,7 +80,7 @@ def intersect(
     return (without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error),)
 
 
-def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
+def uv_points(_prims: Any, _k: Array, uv: Array, whole_turn: bool = False) -> Array:
     """Points of the unit disk with u the distance from the centre, v the angle as a fraction of a turn."""
     radius = np.where(uv[:, :1] >= 0.0, uv[:, :1], np.nan)
     return np.column_stack([radius * on_circle(uv[:, 1], whole_turn), np.zeros(len(uv))])
@@ -106,7 +107,7 @@ def unit_disk_points(rng: Rng, count: int, sort: str) -> UnitPoints:
 on_disks = on_unit_shape(unit_disk_points)
 
 
-def view_disk(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def view_disk(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     return DefectView(cosine=abs_cosine(prims.to_object[k][2], d))
 
 

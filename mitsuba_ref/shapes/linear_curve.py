@@ -10,6 +10,7 @@ from caster.shapes.linear_curve import LinearCurve, RoundSegments
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR, DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points
 from mitsuba_ref.error_model.intersections import (
+    Array,
     ErrorModel,
     Intersections,
     UvSpace,
@@ -46,7 +47,7 @@ def to_xml(out: ShapeWriter, shape: LinearCurve, part: RoundSegments) -> list[Xm
 
 
 @without_float_warnings
-def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """Where ray i enters segment k[i]: on its cone, on the sphere at its start, on that at its end.
 
     Embree solves A t^2 + 2 B t + C = 0 as it stands, from h, the point of the ray that is nearest to the middle of the
@@ -118,7 +119,7 @@ def expected(shape: LinearCurve, part: RoundSegments) -> Iterator[ExpectedNumber
     yield ExpectedNumbers("radii", part.radius, sizes, np.linalg.cond(linear) * sizes)
 
 
-def on_segments(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+def on_segments(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
     """Where cones touch spheres of the hull, those at their ends for corners and edges; half of "inside" on caps."""
     p, along, n = unit_sphere_points(rng, len(k), sort)
     share, coin = random_fractions(rng, len(k)), rng.random((len(k), 1)) < 0.5
@@ -135,7 +136,7 @@ def on_segments(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints
     return SurfacePoints(prims.start[k] + share * axis + radius * norm(p)[:, None] * away, radius * along, away)
 
 
-def view_segment(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def view_segment(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     """Whether the ray starts within any hull, up to its rounding and that of the origin."""
     away, axis, change = o - prims.start, prims.end - prims.start, np.diff(prims.radius, axis=1)[:, 0]
     grown = np.maximum(dot(axis, axis) - change * change, np.finfo(float).tiny)  # 0: one sphere is within the other

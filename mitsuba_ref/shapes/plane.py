@@ -16,6 +16,7 @@ from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points, transformed_normals
 from mitsuba_ref.error_model.intersections import (
+    Array,
     ErrorModel,
     Intersections,
     UvSpace,
@@ -44,21 +45,21 @@ PATCH_ROTATION = 0.6  # radians; avoids edges along rows and columns of pixels
 class Patches(NamedTuple):
     """Planes, with a patch of triangles as the stand-in for each."""
 
-    normal: np.ndarray  # (n, 3) unit
-    point: np.ndarray  # (n, 3)
-    center: np.ndarray  # (n, 3) of the patch, in the plane
-    axes: np.ndarray  # (n, 2, 3) unit, in the plane, orthogonal
-    half: np.ndarray  # (n,) half the side of the innermost square
-    corners: np.ndarray  # (n, 4 * (PATCH_RINGS + 1), 3) float32 values, ring by ring from the inside out
+    normal: Array  # (n, 3) unit
+    point: Array  # (n, 3)
+    center: Array  # (n, 3) of the patch, in the plane
+    axes: Array  # (n, 2, 3) unit, in the plane, orthogonal
+    half: Array  # (n,) half the side of the innermost square
+    corners: Array  # (n, 4 * (PATCH_RINGS + 1), 3) float32 values, ring by ring from the inside out
 
 
-def patches(part: Planes, o: np.ndarray, d: np.ndarray) -> Patches:
+def patches(part: Planes, o: Array, d: Array) -> Patches:
     """A patch for each plane, around its hits by the rays."""
     rows = [_patch(normal, point, o, d) for normal, point in zip(part.normal, part.point, strict=True)]
     return Patches(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
-def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
+def _patch(normal: Array, point: Array, o: Array, d: Array) -> tuple[Array, ...]:
     n = normal / row_lengths(normal[None])
     eye = o.mean(axis=0) if len(o) else point
     center = eye - n * dot_rows(n[None], eye - point)
@@ -79,7 +80,7 @@ SMALLEST_HALF_SIDE = 2.0**-60
 
 
 @without_float_warnings
-def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
+def _half_side(n: Array, point: Array, center: Array, o: Array, d: Array) -> float:
     """Half the side of the square: the distance within which the nearest tenth of all hits lie."""
     t = dot_rows(point - o, n) / dot_rows(d, n)
     met = np.isfinite(t) & (t > 0.0)
@@ -91,7 +92,7 @@ def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarr
     )  # or the outer rings would have no area, which Embree may hit
 
 
-def faces() -> np.ndarray:
+def faces() -> Array:
     """The triangles of a patch: the square, then ring by ring."""
     square = [[0, 1, 2], [0, 2, 3]]
     rings = []
@@ -121,7 +122,7 @@ def to_xml(out: ShapeWriter, shape: Plane, part: Patches) -> list[XmlElement]:
 
 
 @without_float_warnings
-def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(prims: Patches, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with plane k[i], with the bound of the triangle hit, and the rounding of its corners.
 
     Hits beyond the patch have no bound, as the reference hits nothing there. A hit is certain if it is for one of the
@@ -155,7 +156,7 @@ def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
 AXES_ERROR = 8.0
 
 
-def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
+def _uv(n: Array, q: Array, p_error: Array, ku: float) -> tuple[Array, Array]:
     """uv of q, relative to the plane's point, and their bound.
 
     The first axis is orthogonal to n and x, or to n and y if |n_x| >= 1/2. If rounding decides which, either may be
@@ -169,7 +170,7 @@ def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[n
 
 
 @without_float_warnings
-def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect_ours(prims: Patches, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with plane k[i] itself, from two rounded dot products: height and slope."""
     n, point = prims.normal[k], prims.point[k]
     slope = dot(n, d)
@@ -186,9 +187,7 @@ def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, 
     return (without_edges(t, t_error, n, flat, everywhere, certain, p_error, uv, uv_error),)
 
 
-def _face_of_hit(
-    prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _face_of_hit(prims: Patches, k: Array, o: Array, d: Array, t: Array) -> tuple[Array, Array]:
     """(first of the two PATCH_FACES of the square or trapezoid around the hit, whether the patch contains the hit)."""
     away = o + np.where(np.isfinite(t), t, 0.0)[:, None] * d - prims.center[k]
     u, v = (dot(away, prims.axes[k, axis]) / prims.half[k] for axis in range(2))
@@ -200,14 +199,14 @@ def _face_of_hit(
     return np.where(ring == 0, 0, 2 + 8 * (ring - 1) + 2 * side), within
 
 
-def _height(corners: np.ndarray) -> np.ndarray:
+def _height(corners: Array) -> Array:
     """Smallest heights (m,) of triangles with corners (m, 3, 3)."""
     edges = np.roll(corners, -1, axis=1) - corners
     area = norm(np.cross(edges[:, 0], edges[:, 1]))
     return area / np.sqrt((edges * edges).sum(axis=2)).max(axis=1)
 
 
-def _least_height(half: np.ndarray, face: np.ndarray) -> np.ndarray:
+def _least_height(half: Array, face: Array) -> Array:
     """Smallest height of the triangles around the ring of `face`: that of the narrow ones in the ring inside it."""
     ring = np.where(face == 0, 0, (face - 2) // 8 + 1)
     return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
@@ -229,7 +228,7 @@ def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     yield ExpectedNumbers("normal", part.normal, normal, size)
 
 
-def on_planes(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+def on_planes(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
     n = prims.normal[k]
     side = np.eye(3)[np.argmin(np.abs(n), axis=1)]
     u, v = np.cross(n, side), np.cross(n, np.cross(n, side))
@@ -251,7 +250,7 @@ def describe_plane_surface(part: Planes, k: int) -> Fields:
     return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
 
 
-def view_plane(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def view_plane(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     return DefectView(cosine=abs_cosine(prims.normal[k], d))
 
 

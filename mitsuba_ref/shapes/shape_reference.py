@@ -17,7 +17,7 @@ from caster.description.fields import Shape
 from caster.description.transform import dot_rows
 from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedPacking
-from mitsuba_ref.error_model.intersections import ErrorModel, GroupKey, single_group
+from mitsuba_ref.error_model.intersections import Array, ErrorModel, GroupKey, single_group
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
 
@@ -25,20 +25,20 @@ Fields = dict[str, Any]  # of a shape, as a scene file gives them
 
 # (arrays, k (m,), Mitsuba's barycentrics (m, 3) and position (m, 3)) -> (m, 3) sum of the magnitudes of the terms of
 # each coordinate of that position
-PositionTerms = Callable[[Any, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+PositionTerms = Callable[[Any, Array, Array, Array], Array]
 
 
-def as_packed(part: Any, o: np.ndarray, d: np.ndarray) -> Any:
+def as_packed(part: Any, o: Array, d: Array) -> Any:
     """No stand-in: Mitsuba traces the packed numbers."""
     return part
 
 
-def all_numbers(part: Any, k: int) -> list[np.ndarray]:
+def all_numbers(part: Any, k: int) -> list[Array]:
     """Row k of every array."""
     return [array[k] for array in part]
 
 
-def plain_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def plain_view(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     """Measurements for a kind without known defects of its own."""
     return DefectView()
 
@@ -61,7 +61,7 @@ class PrimitiveReference:
     describe: Callable[[Any, int], Fields]
 
     # (arrays, k (m,), random generator, one of targets.SORTS) -> points where hits are hard to decide
-    surface_points: Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
+    surface_points: Callable[[Any, Array, Rng, str], SurfacePoints]
 
     # (arrays, k) -> fields of the same surface, if the packed bits do not matter; None: as `describe`
     describe_surface: Callable[[Any, int], Fields] | None = None
@@ -70,7 +70,7 @@ class PrimitiveReference:
     describe_all: Callable[[Any, Path], Fields] | None = None
 
     # (arrays, k) -> the numbers that rays are traced and judged with
-    numbers: Callable[[Any, int], list[np.ndarray]] = all_numbers
+    numbers: Callable[[Any, int], list[Array]] = all_numbers
 
     # names of arrays that packing derives from its rounded numbers, and does not round
     derived: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ class PrimitiveReference:
 
     # known defects of Mitsuba for this kind, and the measurements that identify them
     known_defects: tuple[KnownDefect, ...] = ()
-    defect_view: Callable[[Any, int, np.ndarray, np.ndarray, float], DefectView] = plain_view
+    defect_view: Callable[[Any, int, Array, Array, float], DefectView] = plain_view
 
     @property
     def name(self) -> str:
@@ -120,7 +120,7 @@ class ShapeReference:
     analytic: bool = False
 
     # (float32 arrays, rays o, d) -> stand-in that Mitsuba traces if it lacks the shape, and a remark about it
-    stand_in: Callable[[Any, np.ndarray, np.ndarray], Any] = as_packed
+    stand_in: Callable[[Any, Array, Array], Any] = as_packed
     stand_in_note: str = ""
 
     @property
@@ -146,7 +146,7 @@ def describe_unit_shape(type_name: str, **fields: Any) -> Callable[[Any, int], F
 ROUNDING_INTERVAL_FRACTION = 1.0 - 2.0**-20
 
 
-def unit_vector_rounding_to(n: np.ndarray) -> np.ndarray:
+def unit_vector_rounding_to(n: Array) -> Array:
     """A unit vector (up to float64 rounding) whose components round to the float32 values n (3,).
 
     n was rounded from a unit vector, so the box of all vectors that round to n contains one. Lengths grow along the

@@ -23,6 +23,7 @@ from mitsuba_ref.error_model.defect_conditions import (
 )
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_points, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
+    Array,
     ErrorModel,
     Intersections,
     UvSpace,
@@ -70,7 +71,7 @@ def to_xml(out: ShapeWriter, shape: Sphere | SphereCloud, part: Any) -> list[Xml
     return out.native(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
 
 
-def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with sphere k[i]: near root, far root."""
     center, r = by_columns(prims.center[k]), prims.radius[k]
     o, d = by_columns(o), by_columns(d)
@@ -95,7 +96,7 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 TURN_ERROR = math.sqrt(3.0)
 
 
-def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def reference_uv_points(prims: Spheres, k: Array, uv: Array) -> Array:
     """Mitsuba's uv are those of world axes, as its spheres are exported without their rotation."""
     return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True))
 
@@ -132,7 +133,7 @@ def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
         yield up_to_rounding("to_world", part.to_world, np.einsum("k,ij->kij", radii, linear))
 
 
-def similarity_numbers(linear: np.ndarray, radii: np.ndarray, part: Any) -> Iterator[ExpectedNumbers]:
+def similarity_numbers(linear: Array, radii: Array, part: Any) -> Iterator[ExpectedNumbers]:
     """Radii and rotations of spheres under a similarity.
 
     Its scale is computed from volumes, which it scales by its cube; for a matrix that is a similarity only up to
@@ -149,7 +150,7 @@ def similarity_numbers(linear: np.ndarray, radii: np.ndarray, part: Any) -> Iter
     yield ExpectedNumbers("turn", part.turn, turns, np.ones((1, 3, 3)))
 
 
-def on_spheres(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+def on_spheres(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
     p, along, n = unit_sphere_points(rng, len(k), sort)
     r = prims.radius[k][:, None]
     return SurfacePoints(prims.center[k] + r * p, r * along, n)
@@ -178,11 +179,11 @@ def random_cloud(rng: Rng, lattice: bool) -> Fields:
     return {"centers": centers, "radii": [random_length(rng, lattice) for _ in range(count)]}
 
 
-def view_ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def view_ellipsoid(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     return DefectView(stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
 
 
-def numbers_of_sphere(part: Spheres, k: int) -> list[np.ndarray]:
+def numbers_of_sphere(part: Spheres, k: int) -> list[Array]:
     """All numbers but the rotation, which only uv depend on."""
     return [part.center[k], part.radius[k]]
 
@@ -262,7 +263,7 @@ def ellipsoids_to_xml(out: ShapeWriter, shape: EllipsoidCloud, part: OuterEllips
     return [element]
 
 
-def as_quaternions(turn: np.ndarray) -> np.ndarray:
+def as_quaternions(turn: Array) -> Array:
     """(n, 4) unit quaternions x, y, z, w of rotation matrices (n, 3, 3)."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(turn, 0, 2)
     # four times the outer product of the quaternion with itself

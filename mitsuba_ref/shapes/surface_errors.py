@@ -9,6 +9,7 @@ import numpy as np
 
 from mitsuba_ref.error_model.intersections import (
     LARGEST_COORDINATE,
+    Array,
     ErrorModel,
     IntersectFunction,
     Intersections,
@@ -35,7 +36,7 @@ UNRESOLVABLE = 0.5
 
 
 @without_float_warnings
-def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with triangle k[i], from its plane and its three edge functions."""
     corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
     o, d = by_columns(o), by_columns(d)
@@ -67,27 +68,23 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 
 
 @without_float_warnings
-def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect_ours(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """The same for ours, whose position is compared with o + t d: far from the origin, that is rounded more."""
     (at,) = intersect(prims, k, o, d, ku)
     return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
-def _barycentric_mean(
-    corners: Sequence[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _barycentric_mean(corners: Sequence[Array], weights: Array, weight_errors: Array, ku: float) -> tuple[Array, Array]:
     """Mean of rows (m, c) at three corners, and its bound: errors of the weights, and rounding of three products.
 
     The errors of the weights sum to 0, so they act on differences of the corners.
     """
-    mean: np.ndarray = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
+    mean: Array = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
     moved = sum(weight_errors[:, j] * norm(corners[j] - mean) for j in range(3))
     return mean, moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
 
 
-def _uncertain_edge(
-    corners: list[np.ndarray], inside: np.ndarray, facing: np.ndarray, sure: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _uncertain_edge(corners: list[Array], inside: Array, facing: Array, sure: Array) -> tuple[Array, Array]:
     """The only edge that leaves a hit in doubt: end points (m, 6), smaller one first, and the triangle's side of it.
 
     A neighbour on the other side of the same edge is hit where this triangle is not.
@@ -103,21 +100,19 @@ def _uncertain_edge(
     return edge, side
 
 
-def _is_after(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+def _is_after(p: Array, q: Array) -> Array:
     """Whether p comes after q, ordered by x, then y, then z."""
     differs = p != q
     first = np.argmax(differs, axis=1)[:, None]
-    after: np.ndarray = np.take_along_axis(p, first, axis=1) > np.take_along_axis(q, first, axis=1)
+    after: Array = np.take_along_axis(p, first, axis=1) > np.take_along_axis(q, first, axis=1)
     return after[:, 0]
 
 
-def _kept(corners: list[np.ndarray]) -> np.ndarray:
+def _kept(corners: list[Array]) -> Array:
     return np.all([np.abs(corner).max(axis=1) < LARGEST_COORDINATE for corner in corners], axis=0)
 
 
-def _edge_functions(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _edge_functions(a: Array, b: Array, c: Array, d: Array, ku: float) -> tuple[Array, Array]:
     """(m, 3) edge functions U, V, W = d.(b x c), ... and their error bounds.
 
     Three sources of error: corners relative to the origin are rounded, each component by u of itself, which moves U by
@@ -138,15 +133,15 @@ def _edge_functions(
 
 
 def _t_error(
-    n: np.ndarray,
-    across: np.ndarray,
-    area: np.ndarray,
-    corners: tuple[np.ndarray, np.ndarray, np.ndarray],
-    weights: np.ndarray,
-    t: np.ndarray,
-    d: np.ndarray,
+    n: Array,
+    across: Array,
+    area: Array,
+    corners: tuple[Array, Array, Array],
+    weights: Array,
+    t: Array,
+    d: Array,
     ku: float,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """(bound on the error of t, whether float32 resolves the intersection at all).
 
     Three sources of error: rounded corners move the plane (displacement); the rounded normal tilts it about the first
@@ -169,14 +164,8 @@ def _t_error(
 
 
 def _shading(
-    prims: Any,
-    k: np.ndarray,
-    n: np.ndarray,
-    n_error: np.ndarray,
-    weights: np.ndarray,
-    weight_errors: np.ndarray,
-    ku: float,
-) -> tuple[np.ndarray, np.ndarray]:
+    prims: Any, k: Array, n: Array, n_error: Array, weights: Array, weight_errors: Array, ku: float
+) -> tuple[Array, Array]:
     """Interpolated normal and its bound, with the rounding of its length."""
     normals = [by_columns(prims.normals[prims.faces[k, j]]) for j in range(3)]
     summed, summed_error = _barycentric_mean(normals, weights, weight_errors, ku)
@@ -188,9 +177,7 @@ def _shading(
 BARYCENTRIC_UV = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # uv of faces that have none, on both sides
 
 
-def _uv(
-    prims: Any, k: np.ndarray, weights: np.ndarray, weight_errors: np.ndarray, ku: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _uv(prims: Any, k: Array, weights: Array, weight_errors: Array, ku: float) -> tuple[Array, Array]:
     corners = [np.broadcast_to(corner, (len(k), 2)) for corner in BARYCENTRIC_UV]
     textured = prims.textured[k]
     if textured.any():
@@ -209,30 +196,30 @@ MODEL = ErrorModel(intersect, TRIANGLES, intersect_ours)
 class ObjectRays(NamedTuple):
     """Rays in the primitive's own coordinates, and the magnitudes that rounding of the transform scales with."""
 
-    o: np.ndarray  # (m, 3)
-    d: np.ndarray  # (m, 3)
-    rows: np.ndarray  # (m, 3) length of each row of the inverse matrix
-    offset: np.ndarray  # (m, 3) magnitude of each component of the inverse's translation: its products, not their sum
-    o_size: np.ndarray  # (m,) length of the world origin
-    d_size: np.ndarray  # (m,) length of the world direction
+    o: Array  # (m, 3)
+    d: Array  # (m, 3)
+    rows: Array  # (m, 3) length of each row of the inverse matrix
+    offset: Array  # (m, 3) magnitude of each component of the inverse's translation: its products, not their sum
+    o_size: Array  # (m,) length of the world origin
+    d_size: Array  # (m,) length of the world direction
 
-    def components(self, t: np.ndarray) -> np.ndarray:
+    def components(self, t: Array) -> Array:
         """(m, 3) magnitudes that rounding of the point at t scales with: row . (|o| + |t d|) + |offset|."""
         return self.rows * (self.o_size + np.abs(t) * self.d_size)[:, None] + self.offset
 
 
 # (center, to_object, o, d) -> rays of the primitives' object space
-RayTransform = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], ObjectRays]
+RayTransform = Callable[[Array, Array, Array, Array], ObjectRays]
 
 
-def rays_in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray) -> ObjectRays:
+def rays_in_object_space(center: Array, to_object: Array, o: Array, d: Array) -> ObjectRays:
     """Rays (m, 3) in the object space of primitives with center (m, 3) and inverse matrix (m, 3, 3)."""
     rows = np.sqrt(np.einsum("ijk,ijk->ij", to_object, to_object))
     offset = mat_vec_rows(np.abs(to_object), np.abs(center))
     return ObjectRays(mat_vec_rows(to_object, o - center), mat_vec_rows(to_object, d), rows, offset, norm(o), norm(d))
 
 
-def rays_about_center(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray) -> ObjectRays:
+def rays_about_center(center: Array, to_object: Array, o: Array, d: Array) -> ObjectRays:
     """The same for ours, which transforms o - center: a difference that is rounded relative to its own length."""
     rays = rays_in_object_space(center, to_object, o, d)
     return rays._replace(o_size=np.maximum(rays.o_size, norm(o - center)))
@@ -249,7 +236,7 @@ def ours_through_object_space(
     kind sets to 0.
     """
 
-    def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+    def intersect_ours(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
         rays = rays_about_center(prims.center[k], prims.to_object[k], o, d)
         to_world = prims.to_world[k]
         columns = np.sqrt(np.einsum("ijk,ijk->ik", to_world, to_world)) * np.array(used)
@@ -262,7 +249,7 @@ def ours_through_object_space(
 
 
 @without_float_warnings
-def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:
+def half_chord_error(s: Array, r: Array, error: Array) -> Array:
     """Bound on the change of the half chord s if the radius r is off by `error`.
 
     The half chord changes from s to sqrt(s^2 +- e) with e = 2 r E + E^2. Near a tangent, where s^2 <= e, it may appear
@@ -271,21 +258,21 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
     return root_change(s, error * (2.0 * r + error))
 
 
-def root_change(s: np.ndarray, change: np.ndarray) -> np.ndarray:
+def root_change(s: Array, change: Array) -> Array:
     """How far the root of s^2 changes if s^2 changes by `change`."""
     left = np.sqrt(np.maximum(s * s - change, 0.0))
     return np.where(s * s > change, change / (s + left), np.sqrt(change))
 
 
 @without_float_warnings
-def sphere_roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sphere_roots(f: Array, d: Array, r: Array) -> tuple[Array, Array, Array]:
     """Roots of |f + t d| = r as (t of the closest approach, its distance from the centre, half chord; 0 if missed)."""
     middle = -dot(f, d) / dot(d, d)
     distance = norm(f + middle[:, None] * d)
     return middle, distance, np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))
 
 
-def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
+def world_normal(to_object: Array, n: Array, n_error: Array, ku: float) -> tuple[Array, Array]:
     """Normals of the unit shape in world space, and their error bounds there."""
     world = np.einsum("ikj,ik->ij", to_object, n)
     length = norm(world)
@@ -300,9 +287,9 @@ QUADRATIC_ROUNDINGS = 2.0
 @without_float_warnings
 def intersect_round(
     prims: Any,
-    k: np.ndarray,
-    o: np.ndarray,
-    d: np.ndarray,
+    k: Array,
+    o: Array,
+    d: Array,
     ku: float,
     transformed: RayTransform = rays_in_object_space,
     *,
@@ -369,7 +356,7 @@ COMPONENTS_PER_DISTANCE = 2.0 * math.sqrt(3.0)
 
 
 @without_float_warnings
-def growth_of_ellipsoids(prims: Any, *, float32: bool = False) -> np.ndarray:
+def growth_of_ellipsoids(prims: Any, *, float32: bool = False) -> Array:
     """(m,) ErrorModel.growth of ellipsoids. float32: as in intersect_round."""
     longest, _, shortest = np.linalg.svd(prims.to_world, compute_uv=False).T
     size = 1.0 / shortest
@@ -387,7 +374,7 @@ def growth_of_ellipsoids(prims: Any, *, float32: bool = False) -> np.ndarray:
 TURN = 2.0 * math.pi
 
 
-def on_circle(fraction: np.ndarray, whole_turn: bool = False) -> np.ndarray:
+def on_circle(fraction: Array, whole_turn: bool = False) -> Array:
     """(m, 2) points of the unit circle at fractions of a turn; NaN outside of [0, 1).
 
     whole_turn: 1 is allowed, since the reference adds 2 pi to angles below 0, which may round to 2 pi.
@@ -397,14 +384,14 @@ def on_circle(fraction: np.ndarray, whole_turn: bool = False) -> np.ndarray:
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def sphere_uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
+def sphere_uv_points(_prims: Any, _k: Array, uv: Array, whole_turn: bool = False) -> Array:
     """Points of the unit sphere with u the azimuth as a fraction of a turn, v the polar angle over pi."""
     polar = math.pi * np.where((uv[:, 1] >= 0.0) & (uv[:, 1] <= 1.0), uv[:, 1], np.nan)
     return np.column_stack([np.sin(polar)[:, None] * on_circle(uv[:, 0], whole_turn), np.cos(polar)])
 
 
 @without_float_warnings
-def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
+def sphere_uv(q: Array, error: Array, ku: float) -> tuple[Array, Array]:
     """Points (m, 3) of the unit sphere for the uv of q, and their bound if q is off by `error`.
 
     q has length 1 up to rounding: v is the arc cosine of its height z, and s = sqrt(1 - z^2) the distance from the

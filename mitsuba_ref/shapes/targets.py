@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mitsuba_ref.error_model.intersections import Array
+
 Rng = np.random.Generator
 
 LATTICE_STEPS = 8  # lattice coordinates are whole multiples of size / 8: their sums and differences are exact
@@ -18,22 +20,22 @@ BESIDE_DECADES = (-16.0, -2.0)  # decades of how far outside, in sizes of the pr
 class SurfacePoints(NamedTuple):
     """Points on surfaces, one a row, in float64: on the primitive up to rounding, exactly so on the lattice."""
 
-    p: np.ndarray  # (m, 3)
-    along: np.ndarray  # (m, 3) a direction within the surface there: of the edge, the rim or a tangent
-    n: np.ndarray  # (m, 3) across the surface, of any length
+    p: Array  # (m, 3)
+    along: Array  # (m, 3) a direction within the surface there: of the edge, the rim or a tangent
+    n: Array  # (m, 3) across the surface, of any length
 
 
-UnitPoints = tuple[np.ndarray, np.ndarray, np.ndarray]  # p, along, n of a shape at the origin
+UnitPoints = tuple[Array, Array, Array]  # p, along, n of a shape at the origin
 
 
 # (arrays, k (m,), random generator, one of POINT_KINDS) -> points where hits are hard to decide
-PointsFunction = Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
+PointsFunction = Callable[[Any, Array, Rng, str], SurfacePoints]
 
 
 def on_unit_shape(points: Callable[[Rng, int, str], UnitPoints]) -> PointsFunction:
     """Points of a unit shape under p -> center + to_world p. points: of the unit shape."""
 
-    def on_shapes(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    def on_shapes(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
         p, along, n = points(rng, len(k), sort)
         moved = prims.center[k] + np.einsum("ijk,ik->ij", prims.to_world[k], p)
         across = np.einsum("ikj,ik->ij", prims.to_object[k], n)
@@ -43,11 +45,11 @@ def on_unit_shape(points: Callable[[Rng, int, str], UnitPoints]) -> PointsFuncti
     return on_shapes
 
 
-def pushed_outside(rng: Rng, p: np.ndarray, sort: str) -> np.ndarray:
+def pushed_outside(rng: Rng, p: Array, sort: str) -> Array:
     return p * (1.0 + 10.0 ** rng.uniform(*BESIDE_DECADES, (len(p), 1))) if sort == "beside" else p
 
 
-def unit_circle_points(rng: Rng, count: int) -> tuple[np.ndarray, np.ndarray]:
+def unit_circle_points(rng: Rng, count: int) -> tuple[Array, Array]:
     """Points of the unit circle: on an axis, at (3, 4) / 5 up to one rounding, or anywhere."""
     angle = 2.0 * np.pi * rng.random(count)
     c = np.choose(rng.integers(3, size=count), [np.ones(count), np.full(count, 0.6), np.cos(angle)])
@@ -57,7 +59,7 @@ def unit_circle_points(rng: Rng, count: int) -> tuple[np.ndarray, np.ndarray]:
     return c * rng.choice([-1.0, 1.0], count), s * rng.choice([-1.0, 1.0], count)
 
 
-def random_fractions(rng: Rng, count: int) -> np.ndarray:
+def random_fractions(rng: Rng, count: int) -> Array:
     """(count, 1) numbers from 0 to 1; half of them are eighths, which keep lattice points on the lattice."""
     eighths = rng.integers(0, 9, (count, 1)) / 8.0
     return np.where(rng.random((count, 1)) < 0.5, eighths, rng.random((count, 1)))
@@ -80,7 +82,7 @@ def coin_flip(rng: Rng) -> bool:
     return bool(rng.random() < 0.5)
 
 
-def random_directions(rng: Rng, count: int) -> np.ndarray:
+def random_directions(rng: Rng, count: int) -> Array:
     """(count, 3) of about unit length; some along axes, some with small whole components."""
     any_way = rng.normal(size=(count, 3))
     any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)

@@ -35,7 +35,7 @@ from mitsuba_ref.error_model.independent_transform import (
     expected_points,
     transformed_normals,
 )
-from mitsuba_ref.error_model.intersections import by_normal
+from mitsuba_ref.error_model.intersections import Array, by_normal
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import (
@@ -67,7 +67,7 @@ def describe_triangle(part: Triangles, k: int) -> Fields:
     return shape
 
 
-def on_triangles(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+def on_triangles(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
     corners = prims.vertices[prims.faces[k]]
     corners = np.take_along_axis(corners, rng.permuted(np.tile(np.arange(3), (len(k), 1)), axis=1)[..., None], 1)
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -84,7 +84,7 @@ def on_triangles(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoint
     return SurfacePoints(a + 0.5 * share * (b - a) + 0.5 * random_fractions(rng, len(k)) * (c - a), along, n)
 
 
-def view_triangle(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+def view_triangle(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
     corners = prims.vertices[prims.faces[k]]
     edges = np.roll(corners, -1, axis=0) - corners
     longest = float(np.linalg.norm(edges, axis=1).max())
@@ -98,21 +98,21 @@ def view_triangle(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) ->
     )
 
 
-def _beyond(corners: np.ndarray, o: np.ndarray, d: np.ndarray, t: float) -> bool:
+def _beyond(corners: Array, o: Array, d: Array, t: float) -> bool:
     """Whether t lies outside the interval that the corners span along the ray, by more than rounding."""
     along = (corners - o) @ d / float(d @ d)
     room = KU * (np.abs(along).max() + abs(t))
     return bool(t > along.max() + room or t < along.min() - room)
 
 
-def has_area(corners: np.ndarray) -> bool:
+def has_area(corners: Array) -> bool:
     """Whether the triangle has an area, exactly: the cross product of its edges in fractions."""
     a, b, c = ([Fraction(x) for x in corner] for corner in corners.tolist())
     u, v = ([x - y for x, y in zip(p, a, strict=True)] for p in (b, c))
     return any(u[i] * v[j] != u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
 
 
-def numbers_of_triangle(part: Triangles, k: int) -> list[np.ndarray]:
+def numbers_of_triangle(part: Triangles, k: int) -> list[Array]:
     """Corners, and normals and uv if they are used."""
     corners = part.faces[k]
     smooth, textured = part.smooth[k], part.textured[k]
@@ -120,7 +120,7 @@ def numbers_of_triangle(part: Triangles, k: int) -> list[np.ndarray]:
     return [part.vertices[corners], smooth, textured, *rest, *([part.uv[corners]] if textured else [])]
 
 
-def corners_by_barycentrics(part: Triangles, k: np.ndarray, weights: np.ndarray, p: np.ndarray) -> np.ndarray:
+def corners_by_barycentrics(part: Triangles, k: Array, weights: Array, p: Array) -> Array:
     return np.einsum("ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]]))
 
 

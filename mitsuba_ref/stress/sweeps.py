@@ -16,6 +16,7 @@ from caster.rendering.hits import cast
 from caster.system.atomic_files import ScratchFolder, check_folder, write_text
 from caster.system.terminal import folded
 from mitsuba_ref.error_model.bracket import Bracket
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene
@@ -159,7 +160,7 @@ class Bound:
 class Scorer:
     """Compares casters with the exact answers of one setting: to all rays, or in a closed mesh to some of them."""
 
-    def __init__(self, ready: PreparedSetting, reported_misses: np.ndarray) -> None:
+    def __init__(self, ready: PreparedSetting, reported_misses: Array) -> None:
         """reported_misses: (n,) rays that some caster reports as misses.
 
         Raises AssertionError if a ray leaves a closed mesh.

@@ -7,6 +7,7 @@ import numpy as np
 
 from caster.rendering.bounces import Bounce, bounces
 from caster.scene.model import MAX_FILM_SIDE, Scene
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.shared_input import SharedRays, pixel_of, shared_rays
 from mitsuba_ref.subjects.ray_files import RayList, lay_out
 from mitsuba_ref.subjects.subject import cast_ours
@@ -18,7 +19,7 @@ class BounceFilm(NamedTuple):
     scene: Scene  # with that film
     rays: SharedRays
     bounce: Bounce
-    row: np.ndarray  # (n,) pixel of the film for each ray of the bounce
+    row: Array  # (n,) pixel of the film for each ray of the bounce
     view: Scene  # with the film of the camera
 
     def pixel(self, x: int, y: int) -> tuple[int, int]:
