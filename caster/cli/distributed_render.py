@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from caster.aovs import Aovs
+from caster.description.errors import SceneError
 from caster.geometry.packing import packed
 from caster.rendering.images import RenderResult, bands_of, render_film
 from caster.rendering.plan import Plan
@@ -49,7 +50,9 @@ def bands_on(
     files: the scene's file, which every worker loads, and folders of its meshes.
     """
     film, arrays = (scene.film.width, scene.film.height), packed(scene)
-    calls = ((*files[:1], tuple(files[1:]), film, band.film.window, tuple(aovs)) for band in bands_of(scene))
+    file, dirs = files[0], tuple(files[1:])
+    sha256 = load_scene(file, dirs).sha256()
+    calls = ((file, dirs, sha256, film, band.film.window, tuple(aovs)) for band in bands_of(scene))
     with (
         Cluster(engine, workers or core_count(), identity, "source code", "python", *LIBRARIES) as cluster,
         closing(cluster.map(render_band, calls, waiting=WAITING_BANDS)) as outcomes,
@@ -61,18 +64,27 @@ def bands_on(
 
 
 def render_band(
-    file: str, mesh_dirs: Sequence[str], film: tuple[int, int], window: tuple[int, int, int, int], aovs: Sequence[str]
+    file: str,
+    mesh_dirs: tuple[str, ...],
+    sha256: str,
+    film: tuple[int, int],
+    window: tuple[int, int, int, int],
+    aovs: Sequence[str],
 ) -> Band:
-    """Render one band, in a worker."""
-    scene = scene_of(file, tuple(mesh_dirs)).with_film(width=film[0], height=film[1], crop=window)
+    """Render one band, in a worker. sha256: of the scene."""
+    scene = scene_of(file, mesh_dirs, sha256).with_film(width=film[0], height=film[1], crop=window)
     found = render_film(scene, aovs, threads=1)
     return Band(*(getattr(found, name) for name in Band._fields))
 
 
 @cache
-def scene_of(file: str, mesh_dirs: tuple[str, ...]) -> Scene:
-    """The scene, loaded once by each worker."""
-    return load_scene(file, mesh_dirs)
+def scene_of(file: str, mesh_dirs: tuple[str, ...], sha256: str) -> Scene:
+    """The scene, loaded once by each worker. Raises SceneError if it is another one here."""
+    scene = load_scene(file, mesh_dirs)
+    if scene.sha256() != sha256:
+        where = f"the worker on {platform.node()}"
+        raise SceneError(f"{file}: the scene or a mesh file of it is another one for {where} than for this run")
+    return scene
 
 
 def identity() -> Mapping[str, str]:

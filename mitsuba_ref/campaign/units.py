@@ -35,7 +35,7 @@ from mitsuba_ref.judge.verdict import AGREE, REFERENCE_WRONG, TIE, UNLISTED, Sce
 from mitsuba_ref.reference.store import PROCESSOR, key_of, machine
 from mitsuba_ref.report.reproducers import reproducer, rows_by_case
 from mitsuba_ref.runner.engine import worker_identity
-from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of, with_inputs_hash
 from mitsuba_ref.runner.verdict_files import verdict_key
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.subjects.function import FUNCTION_PATTERN
@@ -48,6 +48,9 @@ SUBJECT, REFERENCE = "subject", "reference"  # whose fault it is
 SCENE_PLACE = "{scene}"  # in a replay, for the file of the failure's own scene
 
 
+UNNAMED = ("path", "inputs")  # parameters that are no part of a unit's name
+
+
 class Unit(NamedTuple):
     """One call."""
 
@@ -55,11 +58,12 @@ class Unit(NamedTuple):
     subject: Contender
     parameters: dict[str, Any]
     key: str  # a hash of all that its result depends on
+    files: str  # a hash of the subject's files
 
     @property
     def name(self) -> str:
         """Subject, kind and parameters: of all units of a campaign, no other has the same."""
-        shown = {name: value for name, value in self.parameters.items() if name != "path" and value is not None}
+        shown = {name: value for name, value in self.parameters.items() if name not in UNNAMED and value is not None}
         words = (f"{name}={_word(value)}" for name, value in shown.items())
         return " ".join([self.subject.name, self.kind, *words])
 
@@ -116,7 +120,8 @@ def units_of(campaign: Campaign) -> list[Unit]:
             parameters, inputs = each
             for subject in campaign.subjects:
                 about = json.dumps([job.type, subject.model_dump(mode="json"), parameters], sort_keys=True)
-                unit = Unit(job.type, subject, parameters, key_of([around, about, own[subject.name], inputs]))
+                files = own[subject.name]
+                unit = Unit(job.type, subject, parameters, key_of([around, about, files, inputs]), files)
                 if found.setdefault(unit.name, unit).key != unit.key:
                     raise SceneError(f"two units are called '{unit.name}': put scenes of one name into one job")
         if len(found) > MAX_UNITS:
@@ -128,9 +133,9 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str,
     """Parameters of each unit of a job, and a hash of the files it reads."""
     if isinstance(job, SceneJob):
         for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
-            inputs = _scene_key(path)
+            inputs, found = _scene_key(path), with_inputs_hash(SceneEntry("", path)).inputs
             for size, bounce in product(job.sizes or (None,), range(job.bounces + 1)):
-                yield {"scene": name, "path": path, "size": size, "bounce": bounce}, inputs
+                yield {"scene": name, "path": path, "inputs": found, "size": size, "bounce": bounce}, inputs
     elif isinstance(job, FilmJob):
         names = ("seed", "scene", "family", "size", "bounce")
         for values in product(seeds, range(job.scenes), job.families, job.sizes, range(job.bounces + 1)):
@@ -187,7 +192,7 @@ def run_unit(unit: Unit) -> Result:
     start = time.perf_counter()
     set_default_threads(1)
     try:
-        subject = subject_of(unit.subject)
+        subject = subject_of(unit.subject, unit.files)
     except SceneError as error:
         raise SubjectError(f"subject '{unit.subject.name}': {error}") from error
     found = RUNS[unit.kind](unit, subject)
@@ -196,10 +201,13 @@ def run_unit(unit: Unit) -> Result:
 
 
 @cache
-def subject_of(contender: Contender) -> Subject | None:
-    """The candidate, kept by this process for its next unit; None: our caster. Raises SceneError."""
+def subject_of(contender: Contender, files: str) -> Subject | None:
+    """The candidate, kept by this process for its next unit; None: our caster. files: as in Unit. Raises SceneError."""
     if contender.candidate is None:
         return None
+    if _files_key(contender) != files:
+        where = f"the worker on {os.uname().nodename}"
+        raise SceneError(f"the files of {contender.candidate} are others for {where} than for this run")
     return parse_candidate(contender.candidate, contender.precision, contender.timeout, served=contender.serve)
 
 
@@ -224,7 +232,8 @@ def _run_film(unit: Unit, subject: Subject | None) -> Result:
         entry = SceneEntry(unit.name, SCENE_PLACE, options=words, given=scene, bounce=bounce)
     else:
         sized = ("--size", *map(str, size)) if size and bounce else ()  # a bounce has a film of its own
-        entry = SceneEntry(at["scene"], at["path"], size, options=(*sized, *words), bounce=bounce)
+        options = (*sized, *words)
+        entry = SceneEntry(at["scene"], at["path"], size, options=options, bounce=bounce, inputs=at["inputs"])
     found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
     result = _of_verdict(found, scene.to_toml() if drawn else "")
     if drawn or found.ok or found.unsupported or result.failures:

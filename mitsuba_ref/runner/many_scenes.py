@@ -1,6 +1,7 @@
 """Validation of many scenes, several at a time; an interruption keeps the verdicts that are done."""
 
 import json
+import os
 import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
@@ -12,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from caster.cli.shared_arguments import resized
 from caster.description.errors import SceneError
+from caster.description.input_files import read_input
 from caster.rendering.threads import set_default_threads
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
@@ -23,7 +25,7 @@ from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.reference.store import StoreFolder, local_store
+from mitsuba_ref.reference.store import StoreFolder, key_of, local_store
 from mitsuba_ref.report.out_folder import files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
@@ -50,12 +52,28 @@ class SceneEntry:
     command: str = "validate"  # that judges it
     opening: Opening = AS_IT_IS  # of a Mitsuba file
     bounce: int = 0  # of the secondary rays to judge; 0: the camera's rays
+    inputs: str = ""  # of inputs_hash, where the run and its workers may have different files
 
     def load(self) -> Scene:
         """The scene to judge, with the requested film. Raises SceneError, FileMissing."""
         if self.given is None and is_original(self.path):
             return open_scene(self.path, self.opening, size=self.size, mesh_dirs=self.mesh_dirs)
         return resized(load_scene(self.path, self.mesh_dirs) if self.given is None else self.given, self.size)
+
+
+def inputs_hash(entry: SceneEntry, scene: Scene | None = None) -> str:
+    """A hash of an entry's scene and mesh files, or of a Mitsuba file's text. scene: as loaded. Raises SceneError."""
+    if entry.given is None and is_original(entry.path):
+        return key_of([read_input(entry.path, "scene file")])
+    return (scene or entry.load()).sha256()
+
+
+def with_inputs_hash(entry: SceneEntry) -> SceneEntry:
+    """The entry with what a worker elsewhere has to find; one that cannot be loaded is for the worker to report."""
+    try:
+        return replace(entry, inputs=inputs_hash(entry))
+    except SceneError:
+        return entry
 
 
 def entries_of_hits(
@@ -126,7 +144,7 @@ def run(
     a scene that cannot be loaded, judged or written, the verdict has the problem, and on_error gets the exception.
     """
     failed = 0
-    calls = ((entry, options) for entry in entries)
+    calls = ((with_inputs_hash(entry) if engine.cluster else entry, options) for entry in entries)
     with closing(engine.map(judge_entry, calls, record)) as outcomes:
         for entry, outcome in zip(entries, outcomes, strict=True):
             verdict = outcome.result
@@ -173,6 +191,9 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     if options.threads:
         set_default_threads(options.threads)
     scene = entry.load()
+    if entry.inputs and inputs_hash(entry, scene) != entry.inputs:
+        where = f"the worker on {os.uname().nodename}"
+        raise SceneError(f"{entry.path}: the scene or a mesh file of it is another one for {where} than for this run")
     folder, foreign = options.folder, entry.subject or options.subject
     # The files of --out and the pages of --html are made of what is seen, which is not stored.
     storable = options.store and not (folder or options.page_of or foreign)

@@ -12,9 +12,12 @@ from pathlib import Path
 
 import pytest
 
+import caster
 from caster.__main__ import main as caster_main
+from caster.cli.distributed_render import render_band, scene_of
 from caster.system.cluster import CallEnded, Cluster, ClusterError
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, with_inputs_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
@@ -210,6 +213,23 @@ def without_times(record):
 HEAD = '[film]\nwidth = 24\nheight = 16\n[camera]\ntype = "pinhole"\neye = [0, 1, 5]\nlook_at = [0, 0, 0]\n'
 SPHERE = '[[shape]]\ntype = "sphere"\n'
 COUNTS = ("camera_rays", "decided_exactly", "shadow_rays", "shading", "aovs")
+
+
+def test_a_worker_with_another_scene_renders_and_judges_nothing(tmp_path):
+    file = tmp_path / "one.toml"
+    file.write_text(HEAD + SPHERE)
+    sha256 = caster.load_scene(file).sha256()
+    (entry,) = map(with_inputs_hash, [SceneEntry("one", str(file))])
+    assert render_band(str(file), (), sha256, (24, 16), (0, 0, 24, 4), ("depth",)).hits
+    assert judge_entry(entry, JudgeOptions(store=False)).ok
+    file.write_text(HEAD + SPHERE + "radius = 2\n")
+    scene_of.cache_clear()
+    for call in (
+        lambda: render_band(str(file), (), sha256, (24, 16), (0, 0, 24, 4), ("depth",)),
+        lambda: judge_entry(entry, JudgeOptions(store=False)),
+    ):
+        with pytest.raises(caster.SceneError, match=r"one\.toml: the scene or a mesh file of it is another one"):
+            call()
 
 
 @pytest.mark.slow("starts clusters")

@@ -12,7 +12,7 @@ from mitsuba_ref.campaign import units as module
 from mitsuba_ref.campaign.description import read_campaign
 from mitsuba_ref.campaign.history import History
 from mitsuba_ref.campaign.report import LISTED, as_html, as_text, keep_scenes
-from mitsuba_ref.campaign.units import REFERENCE, SUBJECT, Failure, Result, units_of
+from mitsuba_ref.campaign.units import REFERENCE, SUBJECT, Failure, Result, SubjectError, run_unit, units_of
 from mitsuba_ref.report import builtin_scenes
 
 FUZZ = '[[job]]\ntype = "fuzz"\nfamilies = ["edges", "ties"]\nexamples = 30\nrays = [10, 40]\n'
@@ -92,6 +92,19 @@ def test_keys_change_with_code_settings_subject_and_scene(units, tmp_path, monke
     other_settings = key()
     monkeypatch.setattr(module, "worker_identity", lambda: {"source code": "of tomorrow"})
     assert len({first, edited, other_scene, other_settings, key()}) == 5
+
+
+def test_a_worker_with_other_files_than_the_run_judges_nothing(units, tmp_path):
+    ball = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
+    (tmp_path / "x.toml").write_text(ball)
+    (tmp_path / "mine.py").write_text("def trace(scene, o, d): ...")
+    ours, mine = units('[[subject]]\n[[subject]]\nname = "mine"\ncandidate = "mine:trace"\n' + SCENES.format("x.toml"))
+    (tmp_path / "mine.py").write_text("def trace(scene, o, d): return None")
+    with pytest.raises(SubjectError, match="the files of mine:trace are others for the worker"):
+        run_unit(mine)
+    (tmp_path / "x.toml").write_text(ball + "radius = 2\n")
+    with pytest.raises(SceneError, match=r"x\.toml: the scene or a mesh file of it is another one for the worker"):
+        run_unit(ours)
 
 
 def test_units_by_name_number_and_working_folder(units, tmp_path, monkeypatch):
