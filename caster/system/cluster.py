@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 import traceback
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -189,6 +189,13 @@ class Cluster:
     def __exit__(self, *_: object) -> None:
         with contextlib.suppress(Exception):  # of a cluster that is lost already
             self._stack.close()
+
+    def check_one_worker_a_machine(self) -> None:
+        """Raise ClusterError where workers would disturb each other's times."""
+        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
+        hosts = Counter(worker["host"] for worker in workers)
+        if crowded := [f"{count} on {host}" for host, count in hosts.items() if count > 1]:
+            raise ClusterError(f"--engine {self.engine}: expected one worker a machine, got {', '.join(crowded)}")
 
     def map(
         self,

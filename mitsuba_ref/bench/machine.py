@@ -12,6 +12,7 @@ from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.html_report import commit
 from mitsuba_ref.report.results import libllvm
 
+LOAD = "load before"
 CPU_INFO = Path("/proc/cpuinfo")  # of Linux
 
 
@@ -22,7 +23,7 @@ def machine_properties() -> dict[str, str]:
         **({"processor": named[1]} if named else {}),
         "processors used": f"{core_count()} of {os.cpu_count() or 1}",
         "kernel": platform.release(),
-        "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
+        LOAD: f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
         "caster": __version__,
         "revision": commit(str(PACKAGE_PARENT)) or "unknown",
         "libLLVM": libllvm(),

@@ -500,6 +500,7 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
     add("--alternations", positive_int, help_, default=DEFAULT_ALTERNATIONS)
     add("--threads", positive_int, "processors that each may use; default: all")
+    add_engine(add)
     help_ = "of the rays that errors are measured on; default: 0"
     add("--seed", whole, help_, metavar="SEED", default=0)
     add_json(parser)

@@ -2,8 +2,9 @@
 
 import argparse
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from caster.cli.shared_arguments import comma_separated
@@ -14,7 +15,7 @@ from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
-from mitsuba_ref.bench.machine import machine_properties
+from mitsuba_ref.bench.machine import LOAD, machine_properties
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.result import CANDIDATE_ROW, Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
@@ -134,8 +135,9 @@ def run_bench(args: argparse.Namespace) -> int:
     candidate = options.requested_candidate(args, takes_rays=True)
     if (code := options.listed(scenes, "scene", args)) is not None:
         return code
-    threads = args.threads or core_count()
-    if threads > core_count():
+    here = args.engine == LOCAL
+    threads = args.threads or (core_count() if here else ALL_CORES)
+    if here and threads > core_count():
         raise SceneError(f"--threads {threads}: this process may use {core_count()}")
     if interpreter() != sys.executable:
         raise SceneError(f"{PYTHON_VARIABLE}: bench times the Mitsuba that is installed beside it; unset it")
@@ -146,20 +148,52 @@ def run_bench(args: argparse.Namespace) -> int:
         served = isinstance(args.candidate, ServedProgram)
         caster = casters.candidate_caster(str(args.candidate), args.candidate_precision, served=served)
     recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
-    machine, requested = machine_properties(), tuple(scene.name for scene in scenes)
-    done, line = list[SceneResult](), StatusLine()
+    machine: Mapping[str, str] = machine_properties()
+    requested = tuple(scene.name for scene in scenes)
+    done, calls = list[SceneResult](), [(scene, caster, settings) for scene in scenes]
     try:
-        for i, scene in enumerate(scenes):
-            progress = line.about(f"bench: {i + 1}/{len(scenes)} {scene.name}")
-            done.append(time_scene(scene, casters.casters_for(scene, caster), settings, progress))
-            line.erase()
-            print(f"{as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
+        for its_machine, result in timed_here(machine, calls) if here else timed_elsewhere(args.engine, calls):
+            machine = machine if done else its_machine
+            for name in machine:
+                if name != LOAD and machine[name] != its_machine.get(name):
+                    raise SceneError(f"--engine {args.engine}: expected equal machines, got two of another {name}")
+            done.append(result)
+            print(f"{as_text(result)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         report_run(Run(recorded, machine, requested, tuple(done)), args)
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
+
+
+BenchCall = tuple[BenchScene, casters.TimedCaster | None, Settings]
+TimedScene = tuple[Mapping[str, str], SceneResult]  # with the properties of the machine
+ALL_CORES = 0  # threads of a run elsewhere: those of the worker's machine
+SCENE_SECONDS = 3600.0  # a limit of the time for one scene elsewhere
+
+
+def timed_here(machine: Mapping[str, str], calls: Sequence[BenchCall]) -> Iterator[TimedScene]:
+    line = StatusLine()
+    for i, (scene, caster, settings) in enumerate(calls):
+        progress = line.about(f"bench: {i + 1}/{len(calls)} {scene.name}")
+        found = time_scene(scene, casters.casters_for(scene, caster), settings, progress)
+        line.erase()
+        yield machine, found
+
+
+def timed_elsewhere(name: str, calls: Sequence[BenchCall]) -> Iterator[TimedScene]:
+    """One scene at a time on each machine of a cluster. Raises ClusterError."""
+    with opened(name, 1, SCENE_SECONDS) as engine:
+        if engine.cluster:
+            engine.cluster.check_one_worker_a_machine()
+        with closing(engine.map(time_on_worker, calls)) as outcomes:
+            yield from (outcome.value() for outcome in outcomes)
+
+
+def time_on_worker(scene: BenchScene, caster: casters.TimedCaster | None, settings: Settings) -> TimedScene:
+    settings = replace(settings, threads=settings.threads or core_count())
+    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), settings)
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:

@@ -17,6 +17,10 @@ from caster.__main__ import main as caster_main
 from caster.cli.distributed_render import render_band, scene_of
 from caster.system.cluster import CallEnded, Cluster, ClusterError
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.bench.machine import LOAD
+from mitsuba_ref.bench.result import SceneResult
+from mitsuba_ref.cli import experiments
+from mitsuba_ref.runner.engine import worker_identity
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, with_inputs_hash
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -268,6 +272,34 @@ def test_a_cluster_that_goes_on_judges_the_candidate_of_today(tmp_path, monkeypa
             Path("mine.py").write_text(right.format(change))
             words = ["validate", "one.toml", "--candidate", "mine:trace", "--engine", f"dask:{address}"]
             assert main(words) == code
+
+
+@pytest.mark.slow("starts clusters")
+def test_bench_times_on_one_worker_a_machine(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["bench", "one-sphere", "overdraw-256", "--size", "8", "--alternations", "1", "--threads", "1"]
+    assert main([*words, "--engine", "dask", "--json", "run.json"]) == 0
+    record = json.loads(Path("run.json").read_text())
+    assert [scene["name"] for scene in record["scenes"]] == ["one-sphere", "overdraw-256"]
+    assert all(row["seconds"] for scene in record["scenes"] for row in scene["rows"] if row["side"] == "ours")
+    assert record["machine"]["mitsuba"] and not capsys.readouterr().err.count("Traceback")
+    with scheduler(workers=2) as (address, _), Cluster(f"dask:{address}", 1, worker_identity) as cluster:
+        cluster.client.wait_for_workers(2)
+        with pytest.raises(ClusterError, match=r"expected one worker a machine, got 2 on 127\.0\.0\.1"):
+            cluster.check_one_worker_a_machine()
+
+
+def test_bench_refuses_times_of_different_machines(tmp_path, monkeypatch, capsys):
+    fast, slow = ({"processor": name, LOAD: name} for name in ("fast", "slow"))
+    result = SceneResult("one-sphere", "", "film", 1, ())
+    for second, code in (({**fast, LOAD: "9"}, 0), (slow, 2)):
+        monkeypatch.setattr(
+            experiments, "timed_elsewhere", lambda *_, second=second: iter([(fast, result), (second, result)])
+        )
+        file = tmp_path / f"{code}.json"
+        assert main(["bench", "one-sphere", "mesh-70k", "--engine", "dask:tcp://x:1", "--json", str(file)]) == code
+        assert len(json.loads(file.read_text())["scenes"]) == 2 - (code > 0)
+    assert "expected equal machines, got two of another processor" in capsys.readouterr().err
 
 
 @pytest.mark.slow("starts clusters")
