@@ -10,6 +10,8 @@ from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, ad
 from caster.description.errors import SceneError, error_prefix
 from caster.system.process import OK
 
+MAX_LISTED = 50  # of what a file has and the images do not
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
@@ -52,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
         Film(width=args.size[0], height=args.size[1])
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
     course = load_course_scene(args.input, *args.size, **options)
-    for text in course.left_out:
+    more = len(course.left_out) - MAX_LISTED
+    for text in (*course.left_out[:MAX_LISTED], *([f"and {more} more left out"] if more > 0 else ())):
         print(text, file=sys.stderr)
     with error_prefix(args.input):
         images = render_course(course, args.threads)

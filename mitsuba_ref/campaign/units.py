@@ -33,7 +33,7 @@ from mitsuba_ref.hard.random_families import FILMS
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import AGREE, REFERENCE_WRONG, TIE, UNLISTED, SceneVerdict
 from mitsuba_ref.reference.store import PROCESSOR, key_of, machine
-from mitsuba_ref.report.reproducers import reproducer, rows_by_case
+from mitsuba_ref.report.reproducers import has_other_light, reproducer, rows_by_case
 from mitsuba_ref.runner.engine import worker_identity
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of, with_inputs_hash
 from mitsuba_ref.runner.verdict_files import verdict_key
@@ -133,9 +133,10 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str,
     """Parameters of each unit of a job, and a hash of the files it reads."""
     if isinstance(job, SceneJob):
         for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
-            inputs, found = _scene_key(path), with_inputs_hash(SceneEntry("", path)).inputs
+            key = _scene_key(path)
             for size, bounce in product(job.sizes or (None,), range(job.bounces + 1)):
-                yield {"scene": name, "path": path, "inputs": found, "size": size, "bounce": bounce}, inputs
+                inputs = with_inputs_hash(SceneEntry("", path, size)).inputs
+                yield {"scene": name, "path": path, "inputs": inputs, "size": size, "bounce": bounce}, key
     elif isinstance(job, FilmJob):
         names = ("seed", "scene", "family", "size", "bounce")
         for values in product(seeds, range(job.scenes), job.families, job.sizes, range(job.bounces + 1)):
@@ -291,7 +292,7 @@ def _one_ray_scenes(found: SceneVerdict) -> dict[str, str]:
     texts = {}
     for label, row in rows.items():
         if judge.t_max[row] >= 0.0:
-            alone, notes = reproducer(judge, row, lit=label == "diffuse")
+            alone, notes = reproducer(judge, row, lit=has_other_light(judgement, row))
             texts[label] = "".join(f"# {line}\n" for line in (f"{label}: {found.name}", *notes)) + alone.to_toml()
     return texts
 

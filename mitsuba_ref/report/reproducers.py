@@ -63,6 +63,11 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Ite
     return Scene(**parts), dict.fromkeys(notes)
 
 
+def has_other_light(judgement: Judgement, row: int) -> bool:
+    """Whether the diffuse value of a pixel is beyond its bound, so that its lights belong to its reproducer."""
+    return bool("diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0)
+
+
 def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     """Numbers of the primitives that may be hit in float32, are hit exactly, or are named by either side."""
     o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
@@ -166,9 +171,7 @@ def write_reproducer(path: Path, judge: Judge, judgement: Judgement, row: int, s
 
     Raises OutputError, SceneError.
     """
-    alone, notes = reproducer(
-        judge, row, lit=bool("diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0)
-    )
+    alone, notes = reproducer(judge, row, lit=has_other_light(judgement, row))
     same, words = reproduces(alone, judge, judgement, row)
     verdict = CLASSES[int(judgement.classes[row])]
     what = f"{verdict}, {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else verdict
