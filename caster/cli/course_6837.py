@@ -6,7 +6,15 @@ import argparse
 import math
 import sys
 
-from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, add_threads, output_file_unless_number
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
+    add_mesh_dirs,
+    add_threads,
+    adder,
+    check_film_size,
+    output_file_unless_number,
+)
 from caster.description.errors import SceneError, error_prefix
 from caster.system.process import OK
 
@@ -14,20 +22,15 @@ MAX_LISTED = 50  # of what a file has and the images do not
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("-input", metavar="SCENE.txt", type=InputPath, required=True, help="a scene file of the course")
-    add("-size", nargs=2, type=int, metavar=("W", "H"), default=(100, 100), help="default: 100 100")
-    add("-output", metavar="IMAGE", type=OutputFile, help="the colours: diffuse and ambient light, .png or .tga")
-    add(
-        "-depth",
-        nargs=3,
-        type=output_file_unless_number,
-        metavar=("NEAR", "FAR", "IMAGE"),
-        help="t along the ray: white at NEAR, black at FAR and where nothing is hit",
-    )
-    add("-normals", metavar="IMAGE", type=OutputFile, help="|x|, |y|, |z| of the normal as red, green, blue")
-    add("-shade_back", action="store_true", help="light surfaces from behind, too, instead of black")
-    add("-shadows", action="store_true", help="lights cast shadows")
+    add = adder(parser)
+    add("-input", InputPath, "a scene file of the course", metavar="SCENE.txt", required=True)
+    add("-size", int, "default: 100 100", nargs=2, metavar=("W", "H"), default=(100, 100))
+    add("-output", OutputFile, "the colours: diffuse and ambient light, .png or .tga", metavar="IMAGE")
+    help_ = "t along the ray: white at NEAR, black at FAR and where nothing is hit"
+    add("-depth", output_file_unless_number, help_, nargs=3, metavar=("NEAR", "FAR", "IMAGE"))
+    add("-normals", OutputFile, "|x|, |y|, |z| of the normal as red, green, blue", metavar="IMAGE")
+    add("-shade_back", bool, "light surfaces from behind, too, instead of black")
+    add("-shadows", bool, "lights cast shadows")
     add_threads(parser)
     add_mesh_dirs(parser)
 
@@ -48,10 +51,8 @@ def run(args: argparse.Namespace) -> int:
         check_image_name(option, path)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
-    from caster.scene.model import Film
 
-    with error_prefix("-size", *args.size):
-        Film(width=args.size[0], height=args.size[1])
+    check_film_size("-size", *args.size)
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
     course = load_course_scene(args.input, *args.size, **options)
     more = len(course.left_out) - MAX_LISTED

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
 from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, rejected_faces
@@ -89,11 +88,7 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
 
     Raises SceneError for a pixel outside the film.
     """
-    film = scene.film
-    if not (0 <= x < film.width and 0 <= y < film.height):
-        inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
-        raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
-    view = trace_film(scene.with_film(crop=(x, y, x + 1, y + 1)), threads=1)
+    view = trace_film(scene.with_pixel(x, y), threads=1)
     return Probe(view, intersect_each_primitive(view.packed, view.rays))
 
 

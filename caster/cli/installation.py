@@ -12,7 +12,7 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from caster.cli.shared_arguments import InputPath
+from caster.cli.shared_arguments import InputPath, adder
 from caster.system import processor
 from caster.system.process import FILE, OK
 from caster.system.terminal import folded
@@ -56,15 +56,11 @@ class Finding(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="as JSON")
-    parser.add_argument(
-        "--warm",
-        nargs="*",
-        metavar="SCENE",
-        type=InputPath,
-        help="compile the kernels that `caster render` would compile at first use, for these scene files; "
-        "without any, for all shapes and cameras, which takes minutes",
-    )
+    add = adder(parser)
+    add("--json", bool, "as JSON")
+    help_ = "compile the kernels that `caster render` would compile at first use, for these scene files; "
+    help_ += "without any, for all shapes and cameras, which takes minutes"
+    add("--warm", InputPath, help_, metavar="SCENE", nargs="*")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from caster.cli.shared_arguments import add_pixel, add_scene, load
+from caster.cli.shared_arguments import add_pixel, add_scene, adder, load
 from caster.description.errors import error_prefix
 from caster.system.process import OK
 
@@ -23,7 +23,7 @@ SURFACE = ("p", "n", "sh_n", "uv")  # names of RayHits.surfaces
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_pixel(parser)
-    parser.add_argument("--json", action="store_true", help="as JSON, with more primitives")
+    adder(parser)("--json", bool, "as JSON, with more primitives")
 
 
 def run(args: argparse.Namespace) -> int:

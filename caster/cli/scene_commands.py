@@ -18,6 +18,7 @@ from caster.cli.shared_arguments import (
     add_mesh_dirs,
     add_scene,
     add_threads,
+    adder,
     check_exr_suffix,
     comma_separated,
     engine,
@@ -36,22 +37,17 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
-    add = parser.add_argument
-    add(
-        "-o",
-        "--output",
-        metavar="OUT.exr",
-        type=OutputFile,
-        help="default: the scene's name with .exr, in this folder; written in tiles, as they are rendered",
-    )
-    add("--aov", type=str, metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
+    add = adder(parser)
+    help_ = "default: the scene's name with .exr, in this folder; written in tiles, as they are rendered"
+    add("-o --output", OutputFile, help_, metavar="OUT.exr")
+    add("--aov", str, f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}", metavar="A,B,...")
     help_ = "render these pixels only; X1 and Y1 are exclusive"
-    add("--crop", nargs=4, type=int, metavar=("X0", "Y0", "X1", "Y1"), help=help_)
+    add("--crop", int, help_, nargs=4, metavar=("X0", "Y0", "X1", "Y1"))
     add_threads(parser)
     help_ = "what renders the bands of a large film: local; dask, a Dask cluster started here; or dask:ADDRESS"
-    add("--engine", type=engine, metavar="ENGINE", default="local", help=help_)
-    add("--explain", action="store_true", help="print how the image was computed, and what was skipped")
-    add("--json", action="store_true", help="print the same as JSON, with counts of the work done")
+    add("--engine", engine, help_, metavar="ENGINE", default="local")
+    add("--explain", bool, "print how the image was computed, and what was skipped")
+    add("--json", bool, "print the same as JSON, with counts of the work done")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenes", metavar="SCENE", type=InputPath, nargs="+", help=SCENE_FILE)
+    adder(parser)("scenes", InputPath, SCENE_FILE, metavar="SCENE", nargs="+")
     add_mesh_dirs(parser)
 
 

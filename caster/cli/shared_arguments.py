@@ -11,7 +11,7 @@ import contextlib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,13 +22,16 @@ from caster.system.atomic_files import OutputError, check_folder, check_writable
 __all__ = [
     "AOV_NAMES",
     "DEFAULT_AOV_LIST",
+    "METAVARS",
     "InputPath",
     "OutputFile",
     "OutputFolder",
     "add_mesh_dirs",
     "add_pixel",
     "add_scene",
+    "adder",
     "check_exr_suffix",
+    "check_film_size",
     "check_utf8_name",
     "comma_separated",
     "display_names",
@@ -51,30 +54,33 @@ AOV_NAMES = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, 
 DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 
 
+def adder(place: argparse._ActionsContainer) -> Callable[..., argparse.Action]:
+    """A function that adds an argument to a parser or a group: add(names, type, help, ...); bool is a flag."""
+
+    def add(names: str, kind: Any, about: str | None = None, **more: Any) -> argparse.Action:
+        usual = {"action": "store_true"} if kind is bool else {"type": kind, "metavar": METAVARS.get(kind)}
+        return place.add_argument(*names.split(), help=about, **(usual | more))
+
+    return add
+
+
 def add_scene(parser: argparse.ArgumentParser, kind: type[InputPath] | None = None) -> None:
     """Add SCENE, --mesh-dir and --size. kind: of the path that is typed for the scene."""
-    parser.add_argument("scene", metavar="SCENE", type=kind or InputPath, help=SCENE_FILE)
+    add = adder(parser)
+    add("scene", kind or InputPath, SCENE_FILE, metavar="SCENE")
     add_mesh_dirs(parser)
-    parser.add_argument(
-        "--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scene's own"
-    )
+    add("--size", int, "film in pixels, instead of the scene's own", nargs=2, metavar=("W", "H"))
 
 
 def add_mesh_dirs(parser: argparse._ActionsContainer) -> None:
     """Add --mesh-dir, which may be repeated."""
-    parser.add_argument(
-        "--mesh-dir",
-        action="append",
-        default=[],
-        type=InputPath,
-        metavar="DIR",
-        help="a folder beyond the scene's own in which its meshes are looked for; may be given several times",
-    )
+    help_ = "a folder beyond the scene's own in which its meshes are looked for; may be given several times"
+    adder(parser)("--mesh-dir", InputPath, help_, action="append", default=[], metavar="DIR")
 
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add --threads."""
-    parser.add_argument("--threads", type=thread_number, metavar="N", help="default: one for each core")
+    adder(parser)("--threads", thread_number, "default: one for each core", metavar="N")
 
 
 MAX_THREADS = 1024  # more than the processors of any machine
@@ -115,8 +121,9 @@ def check_exr_suffix(output: str) -> None:
 
 def add_pixel(parser: argparse.ArgumentParser) -> None:
     """Add X and Y."""
-    parser.add_argument("x", metavar="X", type=coordinate, help="column of the pixel, 0 at the left")
-    parser.add_argument("y", metavar="Y", type=coordinate, help="row of the pixel, 0 at the top")
+    add = adder(parser)
+    add("x", coordinate, "column of the pixel, 0 at the left", metavar="X")
+    add("y", coordinate, "row of the pixel, 0 at the top", metavar="Y")
 
 
 def coordinate(text: str) -> int:
@@ -133,6 +140,14 @@ def load(args: argparse.Namespace) -> Scene:
     from caster.scene.files import load_scene
 
     return resized(load_scene(args.scene, args.mesh_dir), args.size)
+
+
+def check_film_size(option: str, width: int, height: int) -> None:
+    """Raise SceneError for numbers of pixels that no film has."""
+    from caster.scene.model import Film
+
+    with error_prefix(option, width, height):
+        Film(width=width, height=height)
 
 
 def resized(scene: Scene, size: Sequence[int] | None) -> Scene:
@@ -191,6 +206,10 @@ class OutputFile(str):
 
 class OutputFolder(str):
     """A folder that files are written into; created if it does not exist."""
+
+
+# By the type of an argument: the name of its values in --help. Modules with types of their own add them.
+METAVARS: dict[Any, str] = {OutputFile: "FILE", OutputFolder: "DIR", positive_int: "N"}
 
 
 def output_file_unless_number(text: str) -> str:

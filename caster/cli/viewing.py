@@ -5,15 +5,16 @@ import json
 import sys
 from pathlib import Path
 
-from caster.cli.shared_arguments import InputPath, OutputFile
+from caster.cli.shared_arguments import InputPath, OutputFile, adder
 from caster.system.process import OK
 
 # ---- caster info ----
 
 
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE.exr", type=InputPath, help="an EXR file; of a multi-part one, all parts")
-    parser.add_argument("--json", action="store_true", help="as JSON, with all of the provenance")
+    add = adder(parser)
+    add("file", InputPath, "an EXR file; of a multi-part one, all parts", metavar="FILE.exr")
+    add("--json", bool, "as JSON, with all of the provenance")
 
 
 def info(args: argparse.Namespace) -> int:
@@ -29,16 +30,11 @@ def info(args: argparse.Namespace) -> int:
 
 
 def add_preview_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("file", metavar="FILE.exr", type=InputPath, help="a file of `caster render`, or of verdicts or differences")
-    add(
-        "-o",
-        "--output",
-        metavar="IMAGE",
-        type=OutputFile,
-        help=".png or .tga; default: the file's name with .png, in this folder",
-    )
-    add("--aov", type=str, metavar="A", help="default: diffuse, else class, normal or depth")
+    add = adder(parser)
+    add("file", InputPath, "a file of `caster render`, or of verdicts or differences", metavar="FILE.exr")
+    help_ = ".png or .tga; default: the file's name with .png, in this folder"
+    add("-o --output", OutputFile, help_, metavar="IMAGE")
+    add("--aov", str, "default: diffuse, else class, normal or depth", metavar="A")
 
 
 def preview(args: argparse.Namespace) -> int:

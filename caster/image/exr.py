@@ -46,13 +46,11 @@ DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
 VERSION, TILED, LONG_NAMES = 2, 0x200, 0x400  # flags of the files written here; names may be longer than 31 bytes
 ZIP, INCREASING_Y, ONE_LEVEL = 3, 0, 0  # values of attributes
 UINT, FLOAT = 0, 2  # types of channels
-STORED_TYPES = np.uint32, np.float16, np.float32  # by these numbers
 
 TILE = 64  # pixels on a side: what OpenEXR's own tools write, and rows of tiles of 65536 pixels stay below 2^22 pixels
 # Of zlib, the fastest. The images are 6 to 20 % smaller than by the library, which compresses 16 rows at a time at its
 # level 4, and are written in as much time by two threads (every-shape, cornell-box, teapot; 5 and 11 channels).
 COMPRESSION_LEVEL = 1
-BAND_PIXELS = 1 << 21  # of an image that is read in bands
 
 
 class Exr(NamedTuple):
@@ -196,35 +194,6 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
         window_of(header["displayWindow"]),
         tuple(parts) if len(parts) > 1 else (),
     )
-
-
-def read_bands(path: str | os.PathLike[str]) -> Iterator[Exr]:
-    """Read an image in bands of its rows, from the top, in memory for one of them.
-
-    All have the windows of the whole image. An image of several parts, or of few pixels, is one band. Raises as
-    `read_exr`.
-    """
-    import OpenEXR
-
-    path = Path(path)
-    headers = _headers(path)
-    window, film = (window_of(headers[0][name]) for name in ("dataWindow", "displayWindow"))
-    x0, y0, x1, y1 = window
-    rows = max(1, BAND_PIXELS // ((x1 - x0) * TILE)) * TILE
-    if len(headers) > 1 or y1 - y0 <= rows:
-        yield read_exr(path)
-        return
-    for y in range(y0, y1, rows):
-        end = min(y + rows, y1)
-        try:
-            with _library_output_suppressed():
-                file = OpenEXR.InputFile(str(path))
-                kinds = {name: STORED_TYPES[channel.type.v] for name, channel in file.header()["channels"].items()}
-                read = file.channels(list(kinds), scanLine1=y, scanLine2=end - 1)
-            planes = [np.frombuffer(*each).reshape(end - y, x1 - x0) for each in zip(read, kinds.values(), strict=True)]
-        except Exception as e:  # the library raises various types
-            raise UnreadableExr(f"{path}: damaged, truncated or subsampled; write it again") from e
-        yield Exr(dict(zip(kinds, planes, strict=True)), merged_provenance(path, headers), window, film)
 
 
 def _inclusive(window: Window) -> Window:

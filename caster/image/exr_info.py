@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.image.exr import NO_ID, Part, read_bands
+from caster.image.exr import NO_ID, Part, read_exr
 from caster.system.terminal import printable
 
 __all__ = ["hit_mask"]
@@ -35,10 +35,8 @@ def hit_mask(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray | None, str
 
 def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Everything `caster info` prints, ready for JSON. Raises FileMissing, UnreadableExr."""
-    hits = 0
-    for exr in read_bands(path):
-        mask, source = hit_mask(exr.channels)
-        hits += 0 if mask is None else int(mask.sum())
+    exr = read_exr(path)
+    mask, source = hit_mask(exr.channels)
     x0, y0, x1, y1 = exr.data_window
     return {
         "file": str(path),
@@ -47,7 +45,7 @@ def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
         "height": y1 - y0,
         "data_window": list(exr.data_window),
         "display_window": list(exr.display_window),
-        "hit_pixels": hits if source else None,
+        "hit_pixels": None if mask is None else int(mask.sum()),
         "hit_channel": source or None,
         "parts": [{"name": part.name, "channels": list(part.channels)} for part in exr.parts],
         "channels": {name: {"type": TYPES[str(values.dtype)]} for name, values in exr.channels.items()},

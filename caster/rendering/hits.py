@@ -14,7 +14,7 @@ from caster.jit.command_list import Command
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
-from caster.rendering.casting import find_any, find_nearest
+from caster.rendering.casting import Culling, find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace
@@ -22,7 +22,7 @@ from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
 
-__all__ = ["Hits", "RayHits", "cast", "occluded", "scaled_rays", "trace", "trace_rays", "validated_rays"]
+__all__ = ["Hits", "RayHits", "cast", "cast_any_lengths", "occluded", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 
@@ -137,17 +137,29 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_
     Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
     given, plain = validated_rays_with_range(o, d, t_min, t_max)
-    rays, exponent = (given, np.zeros(0)) if plain else scaled_rays(given)
     arrays = packed(scene)
-    nearest = find_nearest(arrays, rays)
-    t = nearest.t
-    if not plain:
-        with np.errstate(over="ignore", under="ignore"):
-            t = np.ldexp(nearest.t, -exponent)
-        short = np.flatnonzero((exponent < 0) & (nearest.t < SMALLEST_NORMAL_FLOAT))
-        if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
-            t[short] = find_nearest(arrays, Rays(*(a[short] for a in given))).t
+    if plain:
+        nearest = find_nearest(arrays, given)
+        return Hits(scene, arrays, given, nearest, np.zeros(len(nearest.t)), t=nearest.t)
+    rays, nearest, t = cast_any_lengths(arrays, given)
     return Hits(scene, arrays, rays, nearest, np.zeros(len(t)), t=t)
+
+
+def cast_any_lengths(
+    packed: Packed, given: Rays, culling: Culling = "bvh", threads: int | None = None
+) -> tuple[Rays, Nearest, np.ndarray]:
+    """Cast rays whose d has any length: the rays with d of about unit length, their hits, t in lengths of the given d.
+
+    (n,) t is inf on a miss, and for a hit beyond float64.
+    """
+    rays, exponent = scaled_rays(given)
+    nearest = find_nearest(packed, rays, culling, threads)
+    with np.errstate(over="ignore", under="ignore"):
+        t = np.ldexp(nearest.t, -exponent)
+    short = np.flatnonzero((exponent < 0) & (nearest.t < SMALLEST_NORMAL_FLOAT))
+    if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
+        t[short] = find_nearest(packed, Rays(*(a[short] for a in given)), culling, threads).t
+    return rays, nearest, t
 
 
 def occluded(

@@ -17,6 +17,7 @@ from caster.description.errors import (
     SINGULAR,
     DataPath,
     Diagnostic,
+    SceneError,
     child_of,
     field_error,
     format_value,
@@ -366,6 +367,13 @@ class Scene(Description):
             self.film.width if width is None else width, self.film.height if height is None else height
         )
         return self._seen_anew(film=film if crop is None else film.cropped(crop))
+
+    def with_pixel(self, x: int, y: int) -> Self:
+        """A copy whose window is one pixel. Raises SceneError for a pixel outside the film."""
+        if not (0 <= x < self.film.width and 0 <= y < self.film.height):
+            inside = f"0 <= x < {self.film.width} and 0 <= y < {self.film.height}"
+            raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
+        return self.with_film(crop=(x, y, x + 1, y + 1))
 
     def bands(self, pixels: int, step: int = 1) -> Iterator[Self]:
         """The scene with each band of its film: a multiple of `step` rows, about `pixels` pixels."""

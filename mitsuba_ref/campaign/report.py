@@ -85,10 +85,18 @@ class CampaignReport:
         return not self.new
 
 
+RUNS = (
+    "SELECT runs.id AS run, state, started, git, code, machine, runs.units AS requested, count(key) AS units, "
+    "total(computed_by = runs.id) AS computed, total(failing > 0) AS failing, total(rays) AS rays, "
+    "total(hits) AS hits, total(agree) AS agree FROM runs LEFT JOIN run_units ON run = runs.id "
+    "LEFT JOIN units USING (key) GROUP BY runs.id ORDER BY runs.id"
+)
+
+
 def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
     """The report on the last run, and the scene files that its replays name. Raises OutputError."""
     scenes: dict[Path, str] = {}
-    runs = tuple(_runs(history))
+    runs = tuple(RunSummary(**row | {"machine": json.loads(row["machine"])}) for row in history.rows(RUNS))
     if not runs:
         return CampaignReport(str(history.path), ()), scenes
     last = runs[-1].run
@@ -140,16 +148,6 @@ def keep_scenes(history: History, scenes: Mapping[Path, str]) -> None:
         if file not in scenes and re.fullmatch(rf"[0-9a-f]{{{NAME_DIGITS}}}", file.stem):
             with contextlib.suppress(OSError):
                 file.unlink()
-
-
-def _runs(history: History) -> Iterator[RunSummary]:
-    for row in history.rows(
-        "SELECT runs.id AS run, state, started, git, code, machine, runs.units AS requested, count(key) AS units, "
-        "total(computed_by = runs.id) AS computed, total(failing > 0) AS failing, total(rays) AS rays, "
-        "total(hits) AS hits, total(agree) AS agree FROM runs LEFT JOIN run_units ON run = runs.id "
-        "LEFT JOIN units USING (key) GROUP BY runs.id ORDER BY runs.id"
-    ):
-        yield RunSummary(**row | {"machine": json.loads(row["machine"])})
 
 
 def _failures(history: History, units: Iterable[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:

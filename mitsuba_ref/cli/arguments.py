@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any, Self
 from caster.cli.shared_arguments import (
     AOV_NAMES,
     DEFAULT_AOV_LIST,
+    METAVARS,
     InputPath,
     OutputFile,
     OutputFolder,
     add_mesh_dirs,
     add_pixel,
     add_scene,
+    adder,
     engine,
     positive_int,
 )
@@ -97,17 +99,7 @@ def numbers(text: str) -> range:
 
 # ---- options of several commands ----
 
-METAVARS = {OutputFolder: "DIR", OutputFile: "FILE", positive_int: "N", whole: "N", seconds: "TIME", deadline: "TIME"}
-
-
-def adder(place: argparse._ActionsContainer) -> Callable[..., argparse.Action]:
-    """A function that adds an argument to a parser or a group: add(names, type, help, ...); bool is a flag."""
-
-    def add(names: str, kind: Any, about: str | None = None, **more: Any) -> argparse.Action:
-        usual = {"action": "store_true"} if kind is bool else {"type": kind, "metavar": METAVARS.get(kind)}
-        return place.add_argument(*names.split(), help=about, **(usual | more))
-
-    return add
+METAVARS.update({whole: "N", seconds: "TIME", deadline: "TIME"})
 
 
 def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> None:

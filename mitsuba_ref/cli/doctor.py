@@ -9,6 +9,7 @@ from typing import Any
 
 from caster.cli import installation as caster_doctor
 from caster.cli.installation import Finding, print_findings
+from caster.cli.shared_arguments import adder
 from caster.description.errors import SceneError
 from caster.system.process import OK
 from mitsuba_ref.reference.interpreter import interpreter
@@ -24,7 +25,7 @@ from mitsuba_ref.reference.variants import (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="as JSON")
+    adder(parser)("--json", bool, "as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,17 +45,13 @@ def judge_findings() -> list[Finding]:
     except SceneError as error:
         versions = [Finding("mitsuba", False, True, str(error), USES["mitsuba"])]
     missing = [finding.name for finding in versions if not finding.found]
-    further = [] if missing else _further_variants()
-    return [*versions, *_variants(missing), *further, kept_results()]
-
-
-def _further_variants() -> list[Finding]:
-    """The variants that only --variant takes, each tried in a child process."""
-    problems = {name: why_not(name) for name in rgb_variants() if name not in VARIANT_NAMES}
-    return [
+    further = [] if missing else [name for name in rgb_variants() if name not in VARIANT_NAMES]
+    problems = {name: why_not(name) for name in further}  # of those that only --variant takes, each in a child process
+    tried = [
         Finding(name, not why, False, why or "works", f"the reference in this variant: --variant {name}")
         for name, why in problems.items()
     ]
+    return [*versions, *_variants(missing), *tried, kept_results()]
 
 
 def _variants(missing: Sequence[str]) -> list[Finding]:
@@ -118,7 +115,7 @@ RESULTS = {
 
 def add_schema_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = f"whose --json the schema describes: {', '.join(RESULTS)}"
-    parser.add_argument("result", choices=RESULTS, help=help_, metavar="RESULT")
+    adder(parser)("result", str, help_, choices=RESULTS, metavar="RESULT")
 
 
 def run_schema(args: argparse.Namespace) -> int:

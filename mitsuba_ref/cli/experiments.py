@@ -78,7 +78,13 @@ def run_stress(args: argparse.Namespace) -> int:
                 else:
                     done.append(outcome.value())
                 line.erase()
-                print(f"{sweep_text(done[-1], args.skip_unsupported)}\n", file=options.table_stream(args), flush=True)
+                found = done[-1]
+                table = (
+                    origins.as_text(found)
+                    if isinstance(found, OriginSweep)
+                    else sweeps.as_text(found, args.skip_unsupported)
+                )
+                print(f"{table}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)
     if not run.judged:
@@ -101,11 +107,6 @@ def sweep_family(
     if family.spawns:
         return origins.sweep_origins(family, seed, rays, Path(folder), spawn_rule(spawn) if spawn else None)
     return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
-
-
-def sweep_text(found: SweepResult | OriginSweep, skip_unsupported: bool) -> str:
-    """The table of a sweep."""
-    return origins.as_text(found) if isinstance(found, OriginSweep) else sweeps.as_text(found, skip_unsupported)
 
 
 def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family], args: argparse.Namespace) -> StressRun:

@@ -79,11 +79,10 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
     targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed))
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
-    inside = targets.points(args.count, "inside").p
-    targets.frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, inside.mean(axis=0))
+    targets.fit_frame()
     aims = {"features": rays.at_features, "silhouettes": rays.tangents, "surface": rays.from_surface}
     o, d = aims.get(args.kind, rays.anywhere)(targets, args.count)
-    return np.column_stack([o, d, np.zeros(args.count), np.full(args.count, np.inf)])
+    return np.column_stack(rays.endless(o, d))
 
 
 # ---- answers to any rays ----
@@ -153,5 +152,5 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
     lines = rays.RayBatch(parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7])
     answers = Oracle(packed).first_hits(*lines)
     prim = np.array([answer.prim for answer in answers], np.int64)
-    t = np.array([np.inf if answer.t is None else float(answer.t) for answer in answers])
+    t = np.array([answer.distance for answer in answers])
     return leaving_rays(scene, packed, lines.taken(of), prim[of], t[of], rows[:, 3:6], rows[:, :3])

@@ -10,6 +10,7 @@ import sys
 import webbrowser
 from pathlib import Path
 
+from caster.cli.shared_arguments import adder
 from caster.description.errors import FileMissing, SceneError, suggestion
 from caster.system.process import OK
 
@@ -21,9 +22,10 @@ LARGEST_WIDTH = 100  # columns of running text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = adder(parser)
     help_ = "such as candidates, internals/jit or jit; default: the list of all pages"
-    parser.add_argument("page", metavar="PAGE", nargs="?", type=str, default=MAP, help=help_)
-    parser.add_argument("--html", action="store_true", help="open the page of the site that `make site` has built")
+    add("page", str, help_, metavar="PAGE", nargs="?", default=MAP)
+    add("--html", bool, "open the page of the site that `make site` has built")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from caster.classroom.course_files import load_course_scene
 from caster.classroom.course_images import with_window_behind_scene
-from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, comma_separated
-from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, check_film_size, comma_separated
+from caster.description.errors import SceneError, suggestion
 from caster.image.channels import write_render
 from caster.scene.export import to_toml
-from caster.scene.model import Film, Scene
+from caster.scene.model import Scene
 from caster.scene.textures import Bitmap
 from caster.shapes import Mesh
 from caster.system.atomic_files import check_folder, write_bytes, write_text
@@ -108,8 +108,7 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
     if args.define:
         raise SceneError(f"-D {args.define[0]}: a text of MIT 6.837 has no parameters")
     size = args.size or COURSE_FILM
-    with error_prefix("--size", *size):
-        Film(width=size[0], height=size[1])
+    check_film_size("--size", *size)
     course = load_course_scene(args.file, *size, mesh_dirs=args.mesh_dir)
     scene, back = with_window_behind_scene(course.scene)
     where = f"{args.file}:1:1: left out: "

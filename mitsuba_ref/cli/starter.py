@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from caster.cli.shared_arguments import OutputFolder
+from caster.cli.shared_arguments import OutputFolder, adder
 from caster.description.errors import SceneError
 from caster.system.atomic_files import check_folder, write_text
 from caster.system.process import OK
@@ -34,9 +34,10 @@ LANGUAGES = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("language", metavar="LANGUAGE", choices=LANGUAGES, help=", ".join(LANGUAGES))
+    add = adder(parser)
+    add("language", str, ", ".join(LANGUAGES), metavar="LANGUAGE", choices=LANGUAGES)
     help_ = "created if it does not exist; default: the current one"
-    parser.add_argument("folder", metavar="FOLDER", nargs="?", type=OutputFolder, default=OutputFolder("."), help=help_)
+    add("folder", OutputFolder, help_, metavar="FOLDER", nargs="?", default=OutputFolder("."))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
-from caster.cli.shared_arguments import display_names, scene_files
-from caster.description.errors import FileMissing, SceneError, error_prefix
-from caster.scene.model import Film
+from caster.cli.shared_arguments import check_film_size, display_names, scene_files
+from caster.description.errors import FileMissing, SceneError
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE, report_error
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES, REFERENCE_OPTIONS
@@ -79,16 +78,16 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
         where = f"expected a scene, a mesh file or a folder: none is named, and there is no folder '{places[-1]}' here"
         raise FileMissing(f"{where}; {BUILTIN_HINT}") from None
     if args.size:
-        with error_prefix("--size", *args.size):
-            Film(width=args.size[0], height=args.size[1])
+        check_film_size("--size", *args.size)
     size, names = tuple(args.size) if args.size else None, display_names(files)
+    sized = ("--size", *map(str, args.size)) if args.size else ()
     entries = [
         SceneEntry(
             f"{name}.bounce-{number}" if number else name,
             file,
             size,
             tuple(args.mesh_dir),
-            (*again, *secondary_words(args, number)),
+            (*again, *sized, "--bounces", str(number)) if number else again,  # a bounce has a film of its own
             opening=opening,
             bounce=number,
         )
@@ -100,12 +99,6 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
         hint = "" if args.expression else f"; {BUILTIN_HINT}"
         report_error(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", NOTHING_SELECTED)
     return entries
-
-
-def secondary_words(args: argparse.Namespace, bounce: int) -> tuple[str, ...]:
-    """The options of a replay of this bounce; its film has a size of its own."""
-    size = ("--size", *map(str, args.size)) if args.size else ()
-    return (*size, "--bounces", str(bounce)) if bounce else ()
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:

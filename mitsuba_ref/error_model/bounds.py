@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.intersections import (
     without_overflow_warnings,
 )
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.error_model.tolerances import KU_OURS
 
 
 class Bounds(NamedTuple):
@@ -23,16 +23,10 @@ class Bounds(NamedTuple):
     at: Intersections  # the intersection, with the reference's error bounds
 
 
-def reference_bounds(model: SceneModel, prim: Array, o: Array, d: Array, t: Array) -> Bounds:
-    """Bounds at the intersection of ray i with prim[i] (n,) that is nearest to t[i] (n,). prim -1 is a miss."""
-    own = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
-    return Bounds(own, intersections_at(model, prim, (o, d), t, KU, ours=False))
-
-
 def intersections_at(
     model: SceneModel, prim: Array, line: tuple[Array, Array], t: Array, ku: float, *, ours: bool
 ) -> Intersections:
-    """The intersection of ray i with prim[i] nearest to t[i], with the error bounds of one arithmetic.
+    """The intersection of ray i with prim[i], -1 for a miss, nearest to t[i], with the error bounds of one arithmetic.
 
     line: o, d (n, 3). ku, ours: as in SceneModel.intersect.
     """

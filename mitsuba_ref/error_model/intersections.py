@@ -118,6 +118,11 @@ def stacked_columns(*columns: Array) -> Array:
     return np.stack(columns).T
 
 
+def rounded(a: Array) -> Array:
+    """The nearest float32 values, as float64."""
+    return a.astype(np.float32).astype(np.float64)
+
+
 def any_of_columns(rows: Array) -> Array:
     """(m,) bool: any of a few columns (m, c) is true. `any` over such an axis takes ten times as long."""
     return np.logical_or.reduce([*rows.T])

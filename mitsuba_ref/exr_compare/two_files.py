@@ -74,11 +74,44 @@ def compare_exr(
     alone = sorted(a.channels.keys() ^ b.channels.keys()) if foreign else []
     stated += [f"not compared, since only one file has them: {', '.join(alone)}"] if alone else []
     tolerances = tolerances or Tolerances()
-    result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, html=html)
-    if result.exit_code != DIFFERENCES:
-        return result
+    ignored = ignored_channels(a, b, tolerances.ignore)
+    about: dict[str, Any] = {"ours": names[0], "reference": names[1], "ignored": ignored, "stated": tuple(stated)}
+    left_out = {*ignored, *alone}
+    if reasons := tuple(incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)):
+        return FileComparison(**about, reasons=reasons)
+
+    # Every pixel of both, in our conventions.
+    pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
+    judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
+    results, differing, breaking, _ = zip(*judged, strict=True)
+    differ, broken = (np.any(each, axis=0) for each in (differing, breaking))
+    bad = int((differ | broken).sum())
+    failed = bool(broken.any()) or bad > tolerances.max_pixels
+    height, width = differ.shape
     more = (f"{SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading))
-    return result.model_copy(update={"hints": tuple(more)})
+    result = FileComparison(
+        **about,
+        width=width,
+        height=height,
+        hit_ours=int(pair.hit_ours.sum()),
+        hit_reference=int(pair.hit_reference.sum()),
+        hit_either=int(pair.hit_either.sum()),
+        hit_channel=pair.mask_channel,
+        differing_pixels=bad,
+        allowed_pixels=tolerances.max_pixels,
+        compared=len(pair.names),
+        groups=results,
+        exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
+        hints=tuple(more) if failed else (),
+        scene=next((exr.provenance[SCENE] for exr in (a, b) if SCENE in exr.provenance), ""),
+    )
+    if html is None:
+        return result
+    shown = [each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"]]
+    layers = comparison_page.layers_of(pair, ((each.result, each.ratio) for each in shown))
+    result = result.model_copy(update={"measures": tuple(comparison_page.measures(pair, layers)), "html": str(html)})
+    comparison_page.write_comparison(Path(html), result, pair, layers)
+    return result
 
 
 def as_exr(image: Image) -> Exr:
@@ -103,53 +136,6 @@ def _channels(arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
         else:
             planes = np.moveaxis(a, -1, 0)
             yield from zip(LAYERS.get(name) or [f"{name}.{c}" for c in "RGBA"[: len(planes)]], planes, strict=True)
-
-
-def compare_images(
-    a: Exr,
-    b: Exr,
-    tolerances: Tolerances,
-    *,
-    names: tuple[str, str],
-    stated: tuple[str, ...],
-    left_out: Iterable[str],
-    html: FileName | None,
-) -> FileComparison:
-    """Judge every pixel of two images in our conventions. names: of the images; left_out: channels not compared."""
-    ignored = ignored_channels(a, b, tolerances.ignore)
-    about: dict[str, Any] = {"ours": names[0], "reference": names[1], "ignored": ignored, "stated": stated}
-    left_out = {*ignored, *left_out}
-    if reasons := tuple(incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)):
-        return FileComparison(**about, reasons=reasons)
-    pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
-    judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
-    results, differing, breaking, _ = zip(*judged, strict=True)
-    differ, broken = (np.any(each, axis=0) for each in (differing, breaking))
-    bad = int((differ | broken).sum())
-    failed = bool(broken.any()) or bad > tolerances.max_pixels
-    height, width = differ.shape
-    result = FileComparison(
-        **about,
-        width=width,
-        height=height,
-        hit_ours=int(pair.hit_ours.sum()),
-        hit_reference=int(pair.hit_reference.sum()),
-        hit_either=int(pair.hit_either.sum()),
-        hit_channel=pair.mask_channel,
-        differing_pixels=bad,
-        allowed_pixels=tolerances.max_pixels,
-        compared=len(pair.names),
-        groups=results,
-        exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
-        scene=next((exr.provenance[SCENE] for exr in (a, b) if SCENE in exr.provenance), ""),
-    )
-    if html is None:
-        return result
-    shown = [each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"]]
-    layers = comparison_page.layers_of(pair, ((each.result, each.ratio) for each in shown))
-    result = result.model_copy(update={"measures": tuple(comparison_page.measures(pair, layers)), "html": str(html)})
-    comparison_page.write_comparison(Path(html), result, pair, layers)
-    return result
 
 
 def _is_empty(pair: ExrPair) -> bool:

@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Callable, Iterator
+from math import isinf
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,7 @@ def check_rays(prepared: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng |
 def _differences(rays: RayBatch, ours: NearestHits, slow: NearestHits) -> Iterator[Finding]:
     for i in np.flatnonzero(registry.bits_differ(ours.t, slow.t) | (ours.prim != slow.prim)):
         one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, slow))
-        yield Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.taken(slice(i, i + 1)))
+        yield Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.row(int(i)))
 
 
 def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
@@ -109,7 +110,7 @@ def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
     fine = (np.isfinite(p).all(axis=1) | beyond) & unit & shaded
     for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
         what = f"p {p[i].tolist()}, n {n[i].tolist()}, sh_n {sh_n[i].tolist()}"
-        yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.taken(slice(i, i + 1)))
+        yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.row(int(i)))
 
 
 def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tally: Tally) -> list[Finding]:
@@ -119,17 +120,13 @@ def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tall
     except OutsideDomain:
         tally.outside += len(rays.t_min)
         return []
-    hits = [answer for answer in verdicts.answers if answer.hit]
-    tally.rays += len(verdicts.answers)
+    hits = [each.answer for each in verdicts if each.answer.hit]
+    tally.rays += len(verdicts)
     tally.hits += len(hits)
     tally.edges += sum(answer.where != "inside" for answer in hits)
-    tally.ties += sum(len(answer.prims) > 1 for answer in hits)
-    tally.unbounded += int(np.isinf(verdicts.bounds).sum())
-    return [
-        Finding(kind, what, rays.taken(slice(i, i + 1)))
-        for i, (kind, what) in enumerate(zip(verdicts.kinds, verdicts.texts, strict=True))
-        if kind
-    ]
+    tally.ties += sum(len(answer.ties) > 1 for answer in hits)
+    tally.unbounded += sum(isinf(each.bound) for each in verdicts)
+    return [Finding(each.kind, each.text, rays.row(i)) for i, each in enumerate(verdicts) if each.kind]
 
 
 def check_image(prepared: PreparedScene, tally: Tally, thorough: bool = True) -> list[Finding]:

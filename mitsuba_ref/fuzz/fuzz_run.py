@@ -202,7 +202,7 @@ def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, t
         of_rays = check_rays(prepared, rays, tally, tried.random(LIMIT_STREAM))
         return [*of_rays, *check_image(prepared, tally, thorough)]
     except Exception as error:
-        alone = [rays.taken(slice(i, i + 1)) for i in range(len(rays.o))]
+        alone = map(rays.row, range(len(rays.o)))
         found = [(ray, each) for ray in alone for each in find(case_of(tried.made.data, ray))]
         raising = [replace(each, ray=ray) for ray, each in found if each.kind == "error"]
         return [*raising, exception_finding(error)]

@@ -48,6 +48,7 @@ def perturbed_by_ulps(rng: Rng, numbers: Array, ulps: int = 2) -> Array:
 
 
 POINT_SHARES = (0.3, 0.3, 0.2, 0.2)  # of the POINT_KINDS
+SIZE_SAMPLES = 64  # points from which the size of a scene is estimated
 
 
 class PrimitivePicks(NamedTuple):
@@ -63,6 +64,13 @@ class Targets:
     def __init__(self, packed: Packed, rng: Rng, frame: Frame = AT_ORIGIN) -> None:
         self.packed, self.rng, self.frame = packed, rng, frame
         self.counts = np.array([primitive_count(part) for part in packed.parts])
+
+    def fit_frame(self) -> None:
+        """Set the frame by points of the scene; medians, so that a single far primitive does not count."""
+        p = self.points(SIZE_SAMPLES, "inside").p
+        center = np.median(p, axis=0)
+        size = float(np.median(np.abs(p - center).max(axis=1)))
+        self.frame = Frame(size if size > 0.0 else 1.0, center)
 
     def pick(self, count: int) -> PrimitivePicks:
         """Random primitives: a random shape, then one of its primitives."""
@@ -102,6 +110,10 @@ class RayBatch(NamedTuple):
 
     def taken(self, rows: Array | slice) -> "RayBatch":
         return RayBatch(*(a[rows] for a in self))
+
+    def row(self, i: int) -> "RayBatch":
+        """Ray i alone."""
+        return self.taken(slice(i, i + 1))
 
 
 def endless(o: Array, d: Array) -> RayBatch:

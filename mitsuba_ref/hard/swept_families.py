@@ -9,7 +9,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
-from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.error_model.intersections import Array, rounded
 from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene, plain
 from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, RayBatch, Targets, endless
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
@@ -49,11 +49,6 @@ def turn(rng: Rng) -> Fields:
 
 def near_origin(rng: Rng) -> Array:
     return rng.normal(scale=0.3, size=3)
-
-
-def rounded(a: Array) -> Array:
-    """The nearest float32 values, as float64."""
-    return a.astype(np.float32).astype(np.float64)
 
 
 def towards(o: Array, p: Array) -> OriginsAndDirections:

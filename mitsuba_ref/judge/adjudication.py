@@ -64,7 +64,7 @@ class Adjudication:
         """(m,) primitive and t of the exact answer at some rows; -1 and inf on a miss, or if it is not known."""
         answers = [self.of(row) for row in rows]
         prim = np.array([-1 if answer is None else answer.prim for answer in answers], np.int64)
-        return prim, np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
+        return prim, np.array([np.inf if answer is None else answer.distance for answer in answers])
 
 
 def needs_adjudication(plain: Array, hit: Array, certain: Array, shape: tuple[int, int]) -> Array:
@@ -212,7 +212,7 @@ class ExactHits:
         self.ready, self.o, self.d = ready, o.astype(np.float64), d.astype(np.float64)
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
-        self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
+        self.t = np.array([answer.distance for answer in self.answers])
 
     def near(self, rows: Array, prim: Array, t: Array, ku: float, *, ours: bool) -> Intersections:
         """Intersections of some rays with primitives, one each. ku, ours: as in SceneModel.intersect."""

@@ -6,7 +6,8 @@ computes results, report/ shows them.
 
 import math
 from collections import Counter
-from dataclasses import field
+from collections.abc import Callable
+from dataclasses import field, replace
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
@@ -33,6 +34,12 @@ MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 def json_number(value: float) -> float | str:
     """A float, or "inf" or "nan", for which JSON has no number."""
     return float(value) if math.isfinite(value) else str(float(value))
+
+
+def as_json(result: Any) -> dict[str, Any]:
+    """A pydantic dataclass as plain data, derived values included."""
+    data: dict[str, Any] = TypeAdapter(type(result)).dump_python(result, mode="json")
+    return data
 
 
 def kinds_text(kinds: dict[str, dict[str, int]]) -> str:
@@ -259,9 +266,14 @@ class SceneVerdict:
         """The check that comes nearest to its bound, and how near."""
         return max(self.ratios.items(), key=lambda item: item[1], default=("", 0.0))
 
+    def with_failures(self, change: Callable[[Failure], Failure]) -> "SceneVerdict":
+        """The verdict with each of its failures changed."""
+        worst = {check: change(failure) for check, failure in self.worst_by.items()}
+        return replace(self, failures=tuple(map(change, self.failures)), worst_by=worst)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""
-        return TypeAdapter(SceneVerdict).dump_python(self, mode="json")
+        return as_json(self)
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -370,4 +382,4 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""
-        return TypeAdapter(Verdict).dump_python(self, mode="json")
+        return as_json(self)

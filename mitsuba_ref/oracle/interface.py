@@ -96,6 +96,11 @@ class ExactAnswer(NamedTuple):
         return self.t is not None
 
     @property
+    def distance(self) -> float:
+        """t, rounded; inf on a miss."""
+        return np.inf if self.t is None else float(self.t)
+
+    @property
     def prims(self) -> np.ndarray:
         """(m,) numbers of all primitives that are hit at exactly t, ascending."""
         return np.array([hit.prim for hit in self.ties], np.int64)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import Aovs
-from caster.description.errors import SceneError
 from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
@@ -62,12 +61,8 @@ def probe_with_evidence(
     timeout: seconds for Mitsuba's answer. bounces: also judge its secondary rays, to this depth.
     Raises SceneError for a pixel outside the film.
     """
-    film = scene.film
-    if not (0 <= x < film.width and 0 <= y < film.height):
-        inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
-        raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
-    whole = stand_in_rays(scene)
-    asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
+    asked_for, scene = scene, scene.with_pixel(x, y)
+    whole = stand_in_rays(asked_for)
     judge = judge_of(request_answer(OURS, scene, whole=whole), timeout=timeout)
     if isinstance(judge, Crash):
         crash = PixelVerdict(x=x, y=y, verdict=UNDECIDED, ray=_ray(shared_rays(scene)), problem=judge.message)
@@ -196,8 +191,7 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
     if answer is None:
         return {}
     ties = [each._asdict() for each in tie_members(judge.scene, judge.model.packed, answer)]
-    t = np.inf if answer.t is None else float(answer.t)
-    return {"hit": answer.hit, "t": t, "ties": ties, "flags": sorted(answer.flags)}
+    return {"hit": answer.hit, "t": answer.distance, "ties": ties, "flags": sorted(answer.flags)}
 
 
 def _answer(scene: Scene, aovs: Aovs, t: Array) -> dict[str, Any]:

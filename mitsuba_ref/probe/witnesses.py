@@ -49,8 +49,7 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
     rows = [compared_with_exact(ours, judge, answer, np.float64)]
     if answer is not None:
-        t = np.inf if answer.t is None else float(answer.t)
-        rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), t, right=True))
+        rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), answer.distance, right=True))
     rows += [_of_mitsuba(f"mitsuba {variant}", found, judge, answer) for variant, found in mitsuba_answers(judge)]
     return tuple(rows)
 

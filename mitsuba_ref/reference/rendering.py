@@ -66,22 +66,6 @@ def variant_of(scene: Scene) -> str:
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
-def trace_request(
-    scene: Scene, model: SceneModel, rays: SharedRays, folder: Path, variant: str, *, lights: bool, robust: bool = True
-) -> TraceRequest:
-    """The request to trace these rays: through the scene exported into a folder, or the Mitsuba file as it is.
-
-    robust: use Embree's mode that keeps meshes closed.
-    """
-    original = original_of(scene)
-    xml = Path(original.request.file) if original else export(scene, model, robust=robust).write(folder)
-    request = TraceRequest(xml, variant, rays.o, rays.d, rays.t_max, lights=lights, sensor=True)
-    if original is None:
-        return request
-    lit, about = lights and not original.coverage.unlit, vars(original.request) | {"robust": robust}
-    return replace(request, original=about, strict=False, lights=lit, sensor=original.exact_camera)
-
-
 def reference_names(scene: Scene) -> Sequence[str]:
     """The name of each shape in Mitsuba's answers."""
     original = original_of(scene)
@@ -103,14 +87,19 @@ def trace_reference(
 ) -> ReferenceResult | Crash:
     """Trace these rays with Mitsuba, in the process that `send` reaches. A crash is a result, too.
 
+    Through the exported scene, or the Mitsuba file as it is.
     robust: Embree's mode that keeps meshes closed; None: unless --as-in-file is given. mesh_files: also read by its own
     loader, for a check. leaving: (n, 3) directions in which it is to spawn a ray at each hit.
     """
     robust = not as_in_file() if robust is None else robust  # our scenes do not request it
+    original, variant = original_of(scene), variant or variant_of(scene)
     with ScratchFolder() as folder:
-        about = scene, model, rays, Path(folder), variant or variant_of(scene)
-        request = trace_request(*about, lights=lights, robust=robust)
-        if not request.original:
+        xml = Path(original.request.file) if original else export(scene, model, robust=robust).write(Path(folder))
+        request = TraceRequest(xml, variant, rays.o, rays.d, rays.t_max, lights=lights, sensor=True)
+        if original:
+            lit, about = lights and not original.coverage.unlit, vars(original.request) | {"robust": robust}
+            request = replace(request, original=about, strict=False, lights=lit, sensor=original.exact_camera)
+        else:
             request = replace(request, mesh_files=[file.absolute() for file in mesh_files])
         if leaving is not None:
             request = replace(request, sensor=False, strict=False, leaving=leaving.astype(np.float32))
@@ -127,7 +116,7 @@ def trace_reference(
         answer.light_rgb.astype(np.float64),
         visible,
         answer.albedo.astype(np.float64) * ambient_radiance(scene.lights),
-        original.opened.robust if (original := original_of(scene)) else robust,
+        original.opened.robust if original else robust,
     )
 
 

@@ -24,15 +24,6 @@ CLASS_COLORS = {
 UNLISTED_COLOR = (255, 105, 180)
 
 
-def class_attributes() -> dict[str, str]:
-    """EXR attributes that define the codes of a channel class.I."""
-    colors = (bytes(CLASS_COLORS[name]).hex() for name in CLASSES)
-    return {
-        "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(CLASSES)),
-        "caster/class_colors": ", ".join(f"{code} #{color}" for code, color in enumerate(colors)),
-    }
-
-
 def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> None:
     """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
     scene, pair = judge.scene, judge.pair
@@ -51,7 +42,11 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
         "verdict": {channel: values.reshape(pair.shape) for channel, values in verdict.items()},
     }
     film = (0, 0, scene.film.width, scene.film.height)
-    about = provenance(scene, __version__, name) | class_attributes()
+    colors = (bytes(CLASS_COLORS[each]).hex() for each in CLASSES)
+    about = provenance(scene, __version__, name) | {  # with the codes of the channel class.I
+        "caster/classes": ", ".join(f"{code} {each}" for code, each in enumerate(CLASSES)),
+        "caster/class_colors": ", ".join(f"{code} #{color}" for code, color in enumerate(colors)),
+    }
     for which, channels in images.items():
         path = folder / f"{name}.{which}.exr"
         write_exr(path, channels, about, data_window=scene.film.window, display_window=film)

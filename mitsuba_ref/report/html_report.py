@@ -77,9 +77,10 @@ class HtmlReport:
     def write(self) -> None:
         """Write the page of all scenes added so far. Raises OutputError."""
         verdict = Verdict(tuple(self.verdicts), self.requested, requested_candidate=self.candidate)
+        took = max([time.monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
         run = {
             **page_words(),
-            "facts": self._facts(verdict),
+            "facts": [*self._about, ("duration", f"{took:.1f} s"), *(("reference", each) for each in verdict.versions)],
             "summary": outcome_text(verdict),
             "candidate": verdict.candidate,
             "requested": self.requested,
@@ -90,11 +91,6 @@ class HtmlReport:
         rows = [index_row(each, self.thumbnails.get(each.name)) for each in self.verdicts]
         write_page(self.index, run, rows)
         self._written = time.monotonic()
-
-    def _facts(self, verdict: Verdict) -> list[tuple[str, str]]:
-        """What judged, when and how long, for the head of the page."""
-        took = max([time.monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
-        return [*self._about, ("duration", f"{took:.1f} s"), *(("reference", words) for words in verdict.versions)]
 
 
 def report_folder(path: str | Path) -> tuple[Path, Path]:

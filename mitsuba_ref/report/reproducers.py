@@ -202,12 +202,7 @@ def with_replay(scene: SceneVerdict) -> SceneVerdict:
     def shown(failure: Failure) -> Failure:
         return with_fields(failure, replay=replay(scene, failure.pixel or (failure.x, failure.y)))
 
-    return with_fields(
-        scene,
-        failures=tuple(map(shown, scene.failures)),
-        worst_by={check: shown(failure) for check, failure in scene.worst_by.items()},
-        replay=replay(scene),
-    )
+    return with_fields(scene.with_failures(shown), replay=replay(scene))
 
 
 def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:

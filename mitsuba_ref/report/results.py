@@ -14,20 +14,13 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, TextIO
 
-from pydantic import TypeAdapter
-
 from caster.system.atomic_files import write_text
 from caster.system.terminal import LINE_CHARACTERS, folded, printable, unfiltered
 from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.judge.verdict import as_json
 from mitsuba_ref.reference.variants import usable_variants
 
 STANDARD_OUTPUT = "-"
-
-
-def as_json(result: Any) -> dict[str, Any]:
-    """The result as plain data, derived values included."""
-    data: dict[str, Any] = TypeAdapter(type(result)).dump_python(result, mode="json")
-    return data
 
 
 def json_text(result: Any) -> str:

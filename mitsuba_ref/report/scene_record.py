@@ -139,7 +139,7 @@ def scene_record(seen: Seen) -> SceneRecord:
     classes, shape = _classes(judgement), judge.pair.shape
     hit = ours.hit.ravel() + 2 * reference.hit.ravel()
     others = [name for name in judgement.ratios if name not in FLOAT_LAYERS]
-    rows = rows_without_loss(seen, classes, hit)
+    rows, exact = rows_without_loss(seen, classes, hit), judgement.exact.answers
     about = {
         "window": list(judge.scene.film.window),
         "shapes": list(judge.scene.shape_names()),
@@ -147,7 +147,11 @@ def scene_record(seen: Seen) -> SceneRecord:
         "hit": image(hit, shape),
         "rows": packed(rows),
         "reasons": _reasons(seen, classes),
-        "exact": _exact_answers(judge, judgement),
+        "exact": {  # of each adjudicated pixel; t is inf on a miss, and NaN without an answer
+            "rows": packed(judgement.exact.rows.astype(np.int32)),
+            "t": packed(np.array([np.nan if each is None else each.distance for each in exact], np.float64)),
+            **numbered(format_exact(judge.scene, judge.model.packed, each, with_t=False) for each in exact),
+        },
         "shares": {name: image(share_codes(judgement.ratios[name]), shape, smooth=False) for name in others},
         "wrong_rays": [ray.what for ray in seen.wrong_rays],
     }
@@ -201,17 +205,6 @@ def _reasons(seen: Seen, classes: Array) -> Part:
         "rows": packed(explained.astype(np.int32)),
         **numbered(reason(judge, judgement, by_row, int(row)) for row in explained),
         "always": {CLASSES.index(name): text for name, text in constant_reasons(judge).items()},
-    }
-
-
-def _exact_answers(judge: Judge, judgement: Judgement) -> Part:
-    """The exact answer of each adjudicated pixel; t is inf on a miss, and NaN without an answer."""
-    exact, packed_scene = judgement.exact, judge.model.packed
-    t = [np.nan if each is None else np.inf if each.t is None else float(each.t) for each in exact.answers]
-    return {
-        "rows": packed(exact.rows.astype(np.int32)),
-        "t": packed(np.array(t, np.float64)),
-        **numbered(format_exact(judge.scene, packed_scene, answer, with_t=False) for answer in exact.answers),
     }
 
 

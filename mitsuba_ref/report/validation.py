@@ -12,14 +12,14 @@ from caster.system.processor import available_bytes
 from mitsuba_ref.judge.aggregate import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.checks.render import check_render
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
-from mitsuba_ref.judge.verdict import Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import write_reproducers
 from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, short_text
-from mitsuba_ref.subjects.bounce_films import BounceFilm, bounce_film
+from mitsuba_ref.subjects.bounce_films import bounce_film
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -95,20 +95,10 @@ def validate_scene(
 
     bands: list[JudgedFilm] = []
     verdict = judge_film(task, finish)
-    if task.bounce:
-        verdict = _with_camera_pixels(verdict, task.bounce)
+    if film_of_bounce := task.bounce:
+        verdict = verdict.with_failures(lambda each: replace(each, pixel=film_of_bounce.pixel(each.x, each.y)))
     whole = joined(bands) if bands and not verdict.problem else None
     return replace(verdict, film=whole, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
-
-
-def _with_camera_pixels(verdict: SceneVerdict, film: BounceFilm) -> SceneVerdict:
-    """The verdict of secondary rays with the camera's pixel of each failing one."""
-
-    def placed(failure: Failure) -> Failure:
-        return replace(failure, pixel=film.pixel(failure.x, failure.y))
-
-    worst = {check: placed(failure) for check, failure in verdict.worst_by.items()}
-    return replace(verdict, failures=tuple(map(placed, verdict.failures)), worst_by=worst)
 
 
 def _cast_as_judged(scene: Scene) -> None:

@@ -448,16 +448,13 @@ def rows(sweep: SweepResult) -> list[list[str]]:
     for setting in sweep.settings:
         counts = [f"{setting.x:.4g}", str(setting.rays), str(setting.exact.hits), str(setting.exact.ties)]
         bounds = [_number(setting.bound.float64), _number(setting.bound.float32)]
-        scores = (setting.witnesses[caster.key] for caster in sweep.casters)
-        found.append([*counts, *bounds, *(cell for score in scores for cell in _score_cells(score))])
+        found.append(row := [*counts, *bounds])
+        for score in (setting.witnesses[caster.key] for caster in sweep.casters):
+            if isinstance(score, Absent):
+                row += score.status, NOTHING
+            else:  # a ! where an error is beyond its bound
+                row += _number(score.error) + "!" * bool(score.beyond), str(score.wrong_masks)
     return found
-
-
-def _score_cells(score: Score | Absent) -> list[str]:
-    """Largest error, with a ! where one is beyond its bound, and the number of wrong hits and misses."""
-    if isinstance(score, Absent):
-        return [score.status, NOTHING]
-    return [_number(score.error) + ("!" if score.beyond else ""), str(score.wrong_masks)]
 
 
 def _number(value: float | None) -> str:

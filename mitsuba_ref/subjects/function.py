@@ -8,7 +8,7 @@ import re
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from caster.description.errors import SceneError, error_prefix, suggestion
-from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import PRECISIONS, Answer, CastRequest, NoAnswer, Subject, Unsupported, exception_text
@@ -128,23 +127,20 @@ class FunctionSubject(Subject):
         named = {"t_min": np.broadcast_to(rays.t_min, there.shape), "t_max": rays.t_max} if self.takes_limits else {}
         o, d, *limits = (a[there].astype(np.float64) for a in (rays.o, rays.d, *named.values()))
         with _one_at_a_time, _isolated():
-            returned = self._called(traced, o, d, dict(zip(named, limits, strict=True)))
+            try:
+                returned = self.call(traced, o, d, **dict(zip(named, limits, strict=True)))
+            except KeyboardInterrupt:
+                raise
+            except NotImplementedError as error:
+                raise Unsupported(f"{self.name} raised {_exception_with_calls(error)}") from error
+            except BaseException as error:
+                hint = f"\n  {CALLED}" if isinstance(error, TypeError) else ""
+                raise NoAnswer(f"{self.name} raised {_exception_with_calls(error)}{hint}") from error
             try:
                 hits, packed = _hits(returned), request.model.packed
                 return answer_of_numbered_hits(hits, rays, packed, self.precision, limits=self.takes_limits)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
-
-    def _called(self, scene: Scene, o: Array, d: Array, limits: Mapping[str, Array]) -> Any:
-        try:
-            return self.call(scene, o, d, **limits)
-        except KeyboardInterrupt:
-            raise
-        except NotImplementedError as error:
-            raise Unsupported(f"{self.name} raised {_exception_with_calls(error)}") from error
-        except BaseException as error:
-            hint = f"\n  {CALLED}" if isinstance(error, TypeError) else ""
-            raise NoAnswer(f"{self.name} raised {_exception_with_calls(error)}{hint}") from error
 
 
 @contextlib.contextmanager

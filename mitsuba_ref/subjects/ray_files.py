@@ -16,7 +16,7 @@ from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer, spread
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer, checked_array, spread
 
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 ZIP_MAGIC = b"PK"
@@ -170,7 +170,8 @@ def answer_of_hits(
     t_max: a nearest hit beyond it counts as a miss.
     """
     names = ("any_hit",) if any_hit else ("shape_id", "prim_id")
-    numbers = {name: _integers(name, arrays[name], there) for name in names if name in arrays}
+    shape = (int(there.sum()),)
+    numbers = {name: checked_array(name, arrays[name], shape, -1, whole=True) for name in names if name in arrays}
     if any_hit:
         blocked = numbers["any_hit"]
         if not np.isin(blocked, (0, 1)).all():
@@ -202,13 +203,3 @@ def answer_of_numbered_hits(
         found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
     late = found.hit & (found.t > t_max)
     return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
-
-
-def _integers(name: str, values: Array, there: Array) -> Array:
-    """One int64 for each pixel in `there`. Raises NoAnswer."""
-    count = int(there.sum())
-    if values.shape != (count,):
-        raise NoAnswer(f"{name}: expected shape (n,) = {(count,)}, got {values.shape}")
-    if values.dtype.kind not in "biu":
-        raise NoAnswer(f"{name}: expected whole numbers, got {values.dtype}")
-    return values.astype(np.int64)

@@ -103,31 +103,26 @@ def parse_candidate(
     if precision not in (None, *PRECISIONS):
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
     with error_prefix(f"--candidate{'-serve' if served else ''} {text!r}"):
-        return _parsed(text, precision, seconds, served)
-
-
-def _parsed(text: str, precision: str | None, seconds: float, served: bool) -> Subject:
-    if served:
-        return ServedCommand(text, split_command(text, ())[0], precision, seconds)
-    if FUNCTION_PATTERN.fullmatch(text):
-        return import_function(text, precision)
-    if not PLACEHOLDER.search(text):
-        if text.lower().endswith(".exr"):
-            return ExrFile(text, read_exr(text), precision)
-        raise SceneError(
-            f"expected package.module:function{_function_in(text)}, or a command such as 'my-renderer {{xml}} -o "
-            "{exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
-        )
-    words, named = split_command(text, tuple(dict.fromkeys((*PLACEHOLDERS, *RAY_PLACEHOLDERS))))
-    if named & {"rays", "hits", "mesh"}:
-        if not {"rays", "hits"} <= named <= set(RAY_PLACEHOLDERS):
+        if served:
+            return ServedCommand(text, split_command(text, ())[0], precision, seconds)
+        if FUNCTION_PATTERN.fullmatch(text):
+            return import_function(text, precision)
+        if not PLACEHOLDER.search(text):
+            if text.lower().endswith(".exr"):
+                return ExrFile(text, read_exr(text), precision)
             raise SceneError(
-                "expected {rays}, the file to read, {hits}, that to write, and at most {mesh} and {toml} beside them"
+                f"expected package.module:function{_function_in(text)}, or a command such as 'my-renderer {{xml}} -o "
+                "{exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
             )
-        return RayCommand(text, words, precision, seconds)
-    if "exr" not in named or not named & {"xml", "toml"} or not named <= set(PLACEHOLDERS):
-        raise SceneError("expected {exr}, the file to write, and {xml} or {toml}, the scene")
-    return CommandSubject(text, words, precision, seconds)
+        words, named = split_command(text, tuple(dict.fromkeys((*PLACEHOLDERS, *RAY_PLACEHOLDERS))))
+        if named & {"rays", "hits", "mesh"}:
+            if not {"rays", "hits"} <= named <= set(RAY_PLACEHOLDERS):
+                expected = "{rays}, the file to read, {hits}, that to write, and at most {mesh} and {toml} beside them"
+                raise SceneError(f"expected {expected}")
+            return RayCommand(text, words, precision, seconds)
+        if "exr" not in named or not named & {"xml", "toml"} or not named <= set(PLACEHOLDERS):
+            raise SceneError("expected {exr}, the file to write, and {xml} or {toml}, the scene")
+        return CommandSubject(text, words, precision, seconds)
 
 
 def _function_in(text: str) -> str:

@@ -95,8 +95,8 @@ def checked_answer(
     or has no length. Raises NoAnswer for arrays of another shape or type.
     """
     count = int(there.sum())
-    t = spread(_floats("t", t, (count,), np.inf), there, np.inf)
-    n = None if n is None else spread(_floats("n", n, (count, 3), 0.0), there, 0.0)
+    t = spread(checked_array("t", t, (count,), np.inf), there, np.inf)
+    n = None if n is None else spread(checked_array("n", n, (count, 3), 0.0), there, 0.0)
     kinds = [a.dtype for a in (t, n) if a is not None]
     precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
     t = t.astype(np.float64)
@@ -133,8 +133,8 @@ def _directions(n: Array) -> Array:
     return directions
 
 
-def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> Array:
-    """A plain array in native byte order. nothing: the value of a miss, for a message. Raises NoAnswer."""
+def checked_array(name: str, values: Any, shape: tuple[int, ...], nothing: float, *, whole: bool = False) -> Array:
+    """A plain array of floats in native byte order, or of int64. nothing: that of a miss. Raises NoAnswer."""
     expected = f"shape {'(n,)' if len(shape) == 1 else '(n, 3)'} = {shape}"
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         masked = int(np.ma.getmaskarray(values).sum())
@@ -150,6 +150,10 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> A
     if a.shape != shape:
         raise NoAnswer(f"{name}: expected {expected}, got {a.shape}")
     native = a.dtype.newbyteorder("=")
+    if whole and a.dtype.kind in "biu":
+        return a.astype(np.int64)
+    if whole:
+        raise NoAnswer(f"{name}: expected whole numbers, got {a.dtype}")
     if native not in (np.float32, np.float64):
         raise NoAnswer(f"{name}: expected float32 or float64 numbers, got {a.dtype}")
     return a.astype(native, copy=False)

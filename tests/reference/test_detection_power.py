@@ -20,9 +20,9 @@ from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import reference_bounds
+from mitsuba_ref.error_model.bounds import Bounds, intersections_at
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, U32
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS, LARGEST_Z, MIN_GROUPS, U32
 from mitsuba_ref.judge.checks.bias import check_bias, kind_biases
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
@@ -75,7 +75,11 @@ class Asked:
         answer = answer_of_view(self.scene, self.view)
         answer = replace(answer, t=answer.t * (1.0 + share))
         pair = pair_images(self.scene, self.rays, answer, witness or self.witness)
-        bounds = reference_bounds(self.model, answer.prim, *(a.astype(np.float64) for a in self.rays[:2]), answer.t)
+        lines = tuple(a.astype(np.float64) for a in self.rays[:2])
+        own, at = (
+            intersections_at(self.model, answer.prim, lines, answer.t, ku, ours=ku == KU_OURS) for ku in (KU_OURS, KU)
+        )
+        bounds = Bounds(own, at)
         return kind_biases(self.packed, pair, bounds)
 
     @cached_property

@@ -23,7 +23,6 @@ from mitsuba_ref.fuzz.checks import compare_with_mitsuba, failure_mode
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.fuzz.fuzz_run import Drawing
 from mitsuba_ref.hard import FAMILIES
-from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.verdict import Failure
 from mitsuba_ref.reference.messages import Crash
 
@@ -55,7 +54,6 @@ def fault(monkeypatch):
         return nearest
 
     def plant():
-        monkeypatch.setattr(knife_edges, "find_nearest", forgetful)
         monkeypatch.setattr(images, "find_nearest", forgetful)
         monkeypatch.setattr(hits, "find_nearest", forgetful)
 

@@ -21,8 +21,9 @@ from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Score, as_t
 from mitsuba_ref.bench.scenes import SCENES
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.cli.doctor import result_schema
+from mitsuba_ref.judge.verdict import as_json
 from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded
-from mitsuba_ref.report.results import as_json, write_result
+from mitsuba_ref.report.results import write_result
 
 BY_NAME = {scene.name: scene for scene in SCENES}
 

@@ -24,9 +24,10 @@ from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.cli.options import select
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.judge.verdict import as_json
 from mitsuba_ref.reference.variants import Variants
 from mitsuba_ref.report import results
-from mitsuba_ref.report.results import as_json, write_result
+from mitsuba_ref.report.results import write_result
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.stress.sweeps import Absent, Scorer, StressRun, SweepResult
 from mitsuba_ref.subjects.function import FunctionSubject

@@ -1,6 +1,6 @@
 """Bias (docs/method.md, "Bias"): systematic errors of the reference by kind, and a factor on all t of a candidate."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -41,30 +41,12 @@ def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: Array |
     hit = (pair.prim >= 0) & pair.result.hit & near
     if shared is not None:
         hit[hit] = ~shared[packed.shape_of(pair.prim[hit])]
-    rows = np.flatnonzero(hit & same & (turned <= 1.0))
-    tied = np.flatnonzero(hit & ~same)
-    return list(_biases(packed, pair, bounds, share, rows, tied))
-
-
-def untied(prim: Array, kind: Array, tied: Array, tied_kind: Array) -> Array:
-    """(m,) bool: pixels that are evidence of a bias. prim, kind: (m,) of each; tied, tied_kind: (j,) of tied pixels.
-
-    If two shapes have the same t, the reference names either by the sign of a rounding, so that the remaining pixels of
-    each are biased, however right ours is. j pixels that drop out by sign move a sum of m roundings by at most j,
-    chance by sqrt(m): if j^2 > m, no primitive of that kind with tied pixels is evidence.
-    """
-    many = [each for each in np.unique(tied_kind) if np.sum(tied_kind == each) ** 2 > np.sum(kind == each)]
-    return ~(np.isin(kind, many) & np.isin(prim, tied))
-
-
-def _biases(
-    packed: Packed, pair: ImagePair, bounds: Bounds, share: Array, rows: Array, tied: Array
-) -> Iterator[KindBias]:
-    """Of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
+    rows, tied = np.flatnonzero(hit & same & (turned <= 1.0)), np.flatnonzero(hit & ~same)
     prim = pair.prim[rows]
     kind, k = packed.kinds_of(prim)
     evidence = untied(prim, kind, pair.prim[tied], packed.kinds_of(pair.prim[tied])[0])
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
+    found = []
     for place in np.unique(kind):
         prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
@@ -80,7 +62,19 @@ def _biases(
         resolution = U32 * pair.t[at] / bounds.at.t_error[at]  # how well each t is resolved, its weight
         weight = float(resolution @ resolution)
         t_bias = float(share[at] @ resolution) / weight if weight > 0.0 else 0.0
-        yield KindBias(reference.name, min(groups), min(z, key=abs), quantity, t_bias)
+        found.append(KindBias(reference.name, min(groups), min(z, key=abs), quantity, t_bias))
+    return found
+
+
+def untied(prim: Array, kind: Array, tied: Array, tied_kind: Array) -> Array:
+    """(m,) bool: pixels that are evidence of a bias. prim, kind: (m,) of each; tied, tied_kind: (j,) of tied pixels.
+
+    If two shapes have the same t, the reference names either by the sign of a rounding, so that the remaining pixels of
+    each are biased, however right ours is. j pixels that drop out by sign move a sum of m roundings by at most j,
+    chance by sqrt(m): if j^2 > m, no primitive of that kind with tied pixels is evidence.
+    """
+    many = [each for each in np.unique(tied_kind) if np.sum(tied_kind == each) ** 2 > np.sum(kind == each)]
+    return ~(np.isin(kind, many) & np.isin(prim, tied))
 
 
 @without_overflow_warnings

@@ -12,14 +12,14 @@ import numpy as np
 
 from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed, packed
-from caster.rendering.casting import Culling, find_nearest
-from caster.rendering.hits import scaled_rays, validated_rays
+from caster.rendering.casting import Culling
+from caster.rendering.hits import cast_any_lengths, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
 from mitsuba_ref.error_model.intersections import Array, without_overflow_warnings
-from mitsuba_ref.hard.rays import ALL_AIMS, Frame, RayBatch, Targets, aimed_rays
+from mitsuba_ref.hard.rays import ALL_AIMS, RayBatch, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.shared_input import own_model
@@ -47,14 +47,9 @@ def nearest_hits(packed: Packed, t: Array, shape: Array, prim: Array) -> Nearest
 @without_overflow_warnings
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
     """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
-    given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)
-    scaled, exponent = scaled_rays(given)
-    nearest = find_nearest(packed, scaled, culling, threads=1)
-    found = NearestHits(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
-    short = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))  # t lost digits
-    if len(short):
-        found.t[short] = find_nearest(packed, type(given)(*(a[short] for a in given)), culling, threads=1).t
-    return found
+    given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)  # any limits
+    _, nearest, t = cast_any_lengths(packed, given, culling, threads=1)
+    return NearestHits(t, nearest.prim.astype(np.int64))
 
 
 @without_overflow_warnings
@@ -88,49 +83,46 @@ def prepared_scene(scene: Scene) -> PreparedScene:
     return PreparedScene(scene, numbers, Oracle(numbers))
 
 
-class Adjudicated(NamedTuple):
-    """Hits compared with the exact answers, one row for each ray."""
+class RayVerdict(NamedTuple):
+    """The hit of one ray, compared with the exact answer."""
 
-    answers: list[ExactAnswer]
-    bounds: Array  # (n,) of t
-    ratios: Array  # (n,) the error of t over its bound; inf for another first hit
-    kinds: list[str]  # "missed", "phantom", "prim" or "t"; "" if right
-    texts: list[str]  # both hits in words; "" if right
+    answer: ExactAnswer
+    bound: float  # of t
+    ratio: float = 0.0  # the error of t over its bound; inf for another first hit
+    kind: str = ""  # "missed", "phantom", "prim" or "t"; "" if right
+    text: str = ""  # both hits in words; "" if right
 
 
-def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> Adjudicated:
+def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> list[RayVerdict]:
     """Compare hit or miss, primitive, and t within its bound.
 
     Raises OutsideDomain for rays that the oracle does not take.
     """
     answers = subject.oracle.first_hits(*rays)
     bounds = t_bounds(own_model(subject.packed), found, (rays.o, rays.d))
-    rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
-    ratios, kinds, texts = (list(column) for column in zip(*(_verdict(*row) for row in rows), strict=True))
-    return Adjudicated(answers, bounds, np.array(ratios), kinds, texts)
+    return list(map(_verdict, answers, found.t.tolist(), found.prim.tolist(), bounds.tolist()))
 
 
-def _verdict(answer: ExactAnswer, t: float, prim: int, bound: float) -> tuple[float, str, str]:
-    """(error over bound, kind, text) of one hit."""
+def _verdict(answer: ExactAnswer, t: float, prim: int, bound: float) -> RayVerdict:
     if answer.t is None and prim < 0:
-        return 0.0, "", ""
+        return RayVerdict(answer, bound)
     if answer.t is None or prim != answer.prim:
         kind = "missed" if prim < 0 else "phantom" if answer.t is None else "prim"
-        return np.inf, kind, _in_words(answer, t, prim)
+        return RayVerdict(answer, bound, np.inf, kind, _in_words(answer, t, prim))
     off = float(answer.t.off(t))
     largest = t >= LARGEST_FLOAT64
     ratio = off / bound if 0.0 < bound < np.inf and not largest else 0.0
     if off <= bound or (largest and answer.t > LARGEST_FLOAT64):
-        return ratio, "", ""
+        return RayVerdict(answer, bound, ratio)
     ratio = max(ratio, float(np.nextafter(1.0, 2.0))) if off == off else np.inf
-    return ratio, "t", f"{_in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}"
+    return RayVerdict(answer, bound, ratio, "t", f"{_in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}")
 
 
 def _in_words(answer: ExactAnswer, t: float, prim: int) -> str:
     ours = f"ours hits primitive {prim} at t {t_text(t)}" if prim >= 0 else "ours misses"
     if answer.t is None:
         return f"{ours}, exactly it is a miss"
-    return f"{ours}, exactly primitive {answer.prim} ({answer.where}) is hit at t {t_text(float(answer.t))}"
+    return f"{ours}, exactly primitive {answer.prim} ({answer.where}) is hit at t {t_text(answer.distance)}"
 
 
 def t_text(t: float) -> str:
@@ -143,7 +135,6 @@ def t_text(t: float) -> str:
 PIXELS_PER_AIMED_RAY = 4
 MIN_AIMED_RAYS, MAX_AIMED_RAYS = 32, 320
 SHARE_OF_OTHERS = 0.1  # further rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
-SIZE_SAMPLES = 64  # points from which the size of the scene is estimated
 REPRODUCERS = 2  # files for one scene
 
 
@@ -166,13 +157,15 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
         return 0.0, "no primitive to aim at"
     rays = rays_at_edges(subject)
     verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
-    ratios, texts = ratio_of(verdicts.ratios, np.ones(1)), verdicts.texts
+    ratios = ratio_of(np.array([each.ratio for each in verdicts]), np.ones(1))
     bad, words = np.flatnonzero(ratios > 1.0), f"{len(ratios)} aimed rays"
     if len(bad):
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
-        words = f"{len(bad)} of {words}, first from {o} along {d}: {texts[bad[0]]}"
+        words = f"{len(bad)} of {words}, first from {o} along {d}: {verdicts[bad[0]].text}"
     for i in bad[:REPRODUCERS]:
-        wrong_rays.append(AimedFailure(texts[i], scene_of_ray(scene, rays.o[i], rays.d[i], float(rays.t_max[i]))))
+        wrong_rays.append(
+            AimedFailure(verdicts[i].text, scene_of_ray(scene, rays.o[i], rays.d[i], float(rays.t_max[i])))
+        )
     return float(ratios.max()), words
 
 
@@ -195,10 +188,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
     own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
-    p = targets.points(SIZE_SAMPLES, "inside").p
-    center = np.median(p, axis=0)  # medians, so that a single far primitive does not count
-    size = float(np.median(np.abs(p - center).max(axis=1)))
-    targets.frame = Frame(size if size > 0.0 else 1.0, center)
+    targets.fit_frame()
     rays = concatenated(own, aimed_rays(targets, count, (*ALL_AIMS, from_eye)))
     first = cast_by_culling(subject.packed, rays, "bvh")
     return concatenated(rays, with_limits(rng, rays, first, others))

@@ -10,9 +10,9 @@ from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import Array, dot, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, dot, rounded, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
-from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Found, check
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
 from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32, shared_rays
@@ -65,7 +65,7 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
 
 def cast_further(subject: Subject, scene: Scene, o: Array, d: Array) -> tuple[Array, Array] | None:
     """(a candidate's t, the expected t) along further rays (m, 3), rounded to float32; None if it gives no answer."""
-    o, d = _rounded(o), _rounded(d)
+    o, d = rounded(o), rounded(d)
     try:
         return _answer(subject, scene, o, d), expected_t(scene, o, d)[0]
     except NoAnswer:
@@ -94,8 +94,7 @@ def _answer_to(subject: Subject, scene: Scene, rays: SharedRays) -> Array:
 
 
 def _cast(scene: Scene, o: Array, d: Array, t_min: float) -> NearestHits:
-    rays = RayBatch(o, d, np.full(len(o), t_min), np.full(len(o), np.inf))
-    return cast_by_culling(packed_float32(scene), rays, "bvh")
+    return cast_by_culling(packed_float32(scene), endless(o, d)._replace(t_min=np.full(len(o), t_min)), "bvh")
 
 
 def expected_t(scene: Scene, o: Array, d: Array) -> tuple[Array, Array, Array]:
@@ -176,7 +175,7 @@ def _hitting_rays(scene: Scene) -> tuple[Array, Array]:
     shared = shared_rays(scene)
     some = _evenly(np.flatnonzero(shared.t_max >= 0.0), RAYS_TRIED)
     o, d = (a[some].astype(np.float64) for a in (shared.o, shared.d))
-    d = _rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
+    d = rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
     t = _cast(scene, o, d, np.nextafter(0.0, -1.0)).t
     some = _evenly(np.flatnonzero(np.isfinite(t) & (t > 0.0)), RAYS)  # a hit where a ray starts may count or not
     return o[some], d[some]
@@ -186,18 +185,14 @@ def _evenly(rows: Array, most: int) -> Array:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
 
 
-def _rounded(v: Array) -> Array:
-    return v.astype(np.float32).astype(np.float64)
-
-
 def _groups(o: Array, d: Array) -> Iterator[tuple[str, tuple[Array, Array]]]:
     """(name, rays) for each length, then for mirrors in each axis about the middle of points on the rays."""
     for length in LENGTHS:
-        yield f"|d| = {length:g}", (o, _rounded(length * d))
+        yield f"|d| = {length:g}", (o, rounded(length * d))
     middle = (o + d * np.linalg.norm(o, axis=1, keepdims=True)).mean(axis=0)
     for axis, name in enumerate("xyz"):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
-        yield f"rays mirrored in {name}", (_rounded(np.where(sign < 0.0, 2.0 * middle - o, o)), sign * d)
+        yield f"rays mirrored in {name}", (rounded(np.where(sign < 0.0, 2.0 * middle - o, o)), sign * d)
 
 
 @without_float_warnings
