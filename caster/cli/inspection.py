@@ -9,7 +9,6 @@ import numpy as np
 
 from caster.aovs import BY_NAME
 from caster.description.transform import dot_rows, row_lengths
-from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -28,16 +27,11 @@ class PrimitiveResult:
     prim_id: int  # within its shape
     t: float  # the exact first hit in range, rounded to float64; inf on a miss
     error: float  # error bound of t in float64; inf if float64 cannot decide
-    margins: tuple[EdgeDistance, ...]
+    away: float  # distance of the ray from the sphere around it, by which misses are ordered
 
     @property
     def decided_by(self) -> str:
         return "float64" if math.isfinite(self.error) else "integers"
-
-    @property
-    def away(self) -> float:
-        """The distance of the ray from the primitive's outline, by which misses are ordered."""
-        return max((-margin.inside for margin in self.margins), default=0.0)
 
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
@@ -69,8 +63,7 @@ def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
-        edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), float(away[k]))
 
 
 # One pixel: its ray, its hit, and the intersection with each primitive alone.

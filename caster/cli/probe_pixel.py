@@ -57,7 +57,6 @@ def probe_to_json(found: Probe, scene: Scene, args: argparse.Namespace) -> dict[
                 **_hit(scene, tried.shape_id, tried.prim_id, tried.t),
                 "decided_by": tried.decided_by,
                 "t_off": _finite(tried.error) if math.isfinite(tried.t) else None,
-                "margins": [margin._asdict() for margin in tried.margins],
             }
             for tried in found.tried
         ],
@@ -91,26 +90,13 @@ def text_lines(found: dict[str, Any], scene: Scene) -> Iterator[str]:
         for name in SURFACE:
             yield from _vector(f"       {name}", hit[name])
     if near := found["near"]:
-        yield f"near   {len(near)} of {found['tried']['prims']} primitives, each tested alone; + is inside its outline"
+        yield f"near   {len(near)} of {found['tried']['prims']} primitives, each tested alone"
     for tried in near[:MAX_LISTED]:
-        where = _miss_text(tried) if tried["t"] is None else f"t {tried['t']!r:<24} {tried['t'].hex():<24}"
+        where = "missed" if tried["t"] is None else f"t {tried['t']!r:<24} {tried['t'].hex():<24}"
         exactly = " (by integers: undecided in float64)" if tried["decided_by"] == "integers" else ""
         yield f"       {where:<51} {_name(tried, scene)}{exactly}"
-        yield f"         {', '.join(map(_margin_text, tried['margins']))}"
     if len(near) > MAX_LISTED:
         yield f"       and {len(near) - MAX_LISTED} less near (--json lists them)"
-
-
-def _miss_text(tried: dict[str, Any]) -> str:
-    within = tried["margins"] and all(margin["inside"] > 0.0 for margin in tried["margins"])
-    return "missed: not within the range of t, or its ends" if within else "missed"
-
-
-def _margin_text(margin: dict[str, Any]) -> str:
-    """A signed distance from an outline, such as `edge 0-1 +0.0125`."""
-    if margin["inside"] == 0.0:
-        return "the ray runs along it" if margin["of"] == "edge-on" else f"{margin['of']} 0, exactly on it"
-    return f"{margin['of']} {margin['inside']:+.6g}" + (" radii" if margin["unit"] == "radii" else "")
 
 
 def _name(found: dict[str, Any], scene: Scene) -> str:

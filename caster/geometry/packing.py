@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
 from caster.description.transform import cross, subtract
-from caster.geometry.edge_distances import exact
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
@@ -235,7 +235,7 @@ def _count_degenerate(corners: np.ndarray) -> int:
 
 
 def _is_degenerate(face: np.ndarray) -> bool:
-    a, b, c = map(exact, face)
+    a, b, c = ([*map(Fraction, corner)] for corner in face.tolist())
     return not any(cross(subtract(b, a), subtract(c, a)))
 
 

@@ -1,7 +1,6 @@
 """Cylinder walls without caps."""
 
 import math
-from fractions import Fraction
 from inspect import unwrap
 from typing import Any, Literal, NamedTuple
 
@@ -10,13 +9,6 @@ from pydantic import model_validator
 
 from caster.description.fields import Flag, Positive, Shape, Vec3
 from caster.description.transform import product, transform_points
-from caster.geometry.edge_distances import (
-    UNIT_RADII,
-    EdgeDistance,
-    edge_distances,
-    exact_object_space_ray,
-    signed_distance,
-)
 from caster.geometry.triangle_mesh import normalize_rows
 from caster.geometry.world_space import AffineImages, Rounding, affine_arrays, largest_curvature
 from caster.jit.decorators import implement, inlined
@@ -221,14 +213,3 @@ def _hull_size(prims: Any) -> int:
 def _hull_point(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 0.25 * (j & 4))
     return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))
-
-
-@edge_distances.register
-def _edge_distances(prims: Cylinders, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
-    """The distance from the silhouette of the wall. Its ends bound t alone."""
-    f, e = exact_object_space_ray(prims, k, o, d)
-    across = e[0] * e[0] + e[1] * e[1]
-    if across == 0:
-        return (EdgeDistance("along the axis", 0.0, UNIT_RADII),)
-    off = f[0] * e[1] - f[1] * e[0]
-    return (signed_distance("silhouette", Fraction(1), off * off / across, UNIT_RADII),)

@@ -1,20 +1,9 @@
 """Disks; with a non-uniform to_world, ellipses."""
 
 import math
-from fractions import Fraction
 from typing import Any, Literal
 
-import numpy as np
-
 from caster.description.fields import Shape
-from caster.geometry.edge_distances import (
-    EDGE_ON,
-    UNIT_RADII,
-    EdgeDistance,
-    edge_distances,
-    exact_object_space_ray,
-    signed_distance,
-)
 from caster.geometry.world_space import AffineImages, Rounding, affine_arrays
 from caster.jit.decorators import implement
 from caster.kernels.exact.numbers import Root
@@ -151,12 +140,3 @@ def _hull_size(prims: Any) -> int:
 @implement(hull_point, Disks)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
     return add(row(prims.center, k), mat_vec(prims.to_world, k, (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 0.0)))
-
-
-@edge_distances.register
-def _edge_distances(prims: Disks, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
-    f, e = exact_object_space_ray(prims, k, o, d)
-    if e[2] == 0:
-        return (EdgeDistance(EDGE_ON, 0.0, UNIT_RADII),)
-    x, y = (f[i] - f[2] / e[2] * e[i] for i in (0, 1))
-    return (signed_distance("rim", Fraction(1), x * x + y * y, UNIT_RADII),)

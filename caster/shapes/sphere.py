@@ -1,7 +1,6 @@
 """Spheres, one or many; with a non-uniform to_world, ellipsoids; and ellipsoids that are met from outside only."""
 
 from collections.abc import Mapping
-from fractions import Fraction
 from inspect import unwrap
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -10,17 +9,7 @@ from pydantic import field_validator, model_validator
 
 from caster.description.errors import SceneError
 from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
-from caster.description.transform import cross, inverse, rotations, subtract, transform_points, transform_vectors
-from caster.geometry.edge_distances import (
-    SCENE_UNITS,
-    UNIT_RADII,
-    EdgeDistance,
-    edge_distances,
-    exact,
-    exact_object_space_ray,
-    signed_distance,
-    square,
-)
+from caster.description.transform import inverse, rotations, transform_points, transform_vectors
 from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
 from caster.jit.decorators import implement, inlined
@@ -412,17 +401,3 @@ def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
 @implement(hull_point, Ellipsoids, OuterEllipsoids)
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
     return add(row(prims.center, k), mat_vec(prims.to_world, k, cube_corner(j)))
-
-
-@edge_distances.register
-def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
-    """The radius minus the distance of the centre from the ray."""
-    direction = exact(d)
-    away = square(cross(subtract(exact(o), exact(prims.center[k])), direction)) / square(direction)
-    return (signed_distance("silhouette", Fraction(float(prims.radius[k])), away, SCENE_UNITS),)
-
-
-@edge_distances.register
-def _edge_distances_ellipsoid(prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
-    f, e = exact_object_space_ray(prims, k, o, d)
-    return (signed_distance("silhouette", Fraction(1), square(cross(f, e)) / square(e), UNIT_RADII),)
