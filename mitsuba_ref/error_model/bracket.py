@@ -96,7 +96,7 @@ class Bracket:
 
     def _batches(self, line: RaySegments, also: Array | None = None) -> Iterator[RayIntersections]:
         """Possible intersections of the rays, all of a ray in one batch. also: as in `judge`."""
-        near = self.model.near_pairs(line.o, line.d, ours=self.ours)
+        near = self.model.near_pairs(line.o, line.d, ours=self.ours or also is not None)
         if also is not None:
             named = np.flatnonzero(also >= 0)
             near = iter([np.unique(np.hstack([*near, np.stack([named, also[named]])]), axis=1)])

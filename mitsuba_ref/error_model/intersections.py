@@ -99,8 +99,8 @@ class ErrorModel(NamedTuple):
     exact: ExactKind  # exact arithmetic on our own primitive, for the oracle; boxes, also of stand-ins
     intersect_ours: IntersectFunction | None = None  # our own primitive, where the reference's is a stand-in
     uv: UvSpace = UvSpace()
-    # (prims) -> (m,): how far beyond each primitive a ray may pass and hit it by the reference's rounding, over the
-    # distance of its start; None: no farther than BOX_MARGIN
+    # (prims) -> (m,): the largest distance at which a ray may pass each primitive and be a hit of the reference by its
+    # rounding, over |o| + the distance of the primitive from the origin; None: no more than BOX_MARGIN
     growth: Callable[[Any], Array] | None = None
 
 

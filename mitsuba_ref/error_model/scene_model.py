@@ -24,7 +24,7 @@ from mitsuba_ref.error_model.intersections import (
     without_overflow_warnings,
 )
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.oracle.boxes import BoxTree
+from mitsuba_ref.oracle.boxes import MAX_RAY_BOX_PAIRS, BoxTree
 
 
 class PairIntersections(NamedTuple):
@@ -108,13 +108,18 @@ class SceneModel:
     def near_pairs(self, o: Array, d: Array, *, ours: bool) -> Iterator[Array]:
         """(2, m) pairs of a ray o + t d (n, 3) and a primitive that it may hit, in batches; those of a ray in one.
 
-        ours: as in intersect.
+        ours: without those that rounding by the reference may let it hit, though it passes their boxes by far.
         """
         for batch, ray, prim, _ in self.nearby.crossings(o, d):
             pairs = np.stack([ray, prim])
-            if len(self.blurred.prim) and not ours:
-                pairs = np.unique(np.hstack([pairs, *self._blurred_pairs(batch, o, d)]), axis=1)
-            yield pairs
+            if ours or not len(self.blurred.prim):
+                yield pairs
+                continue
+            at_once = max(1, MAX_RAY_BOX_PAIRS // len(self.blurred.prim))
+            for first in range(batch.start, batch.stop, at_once):
+                some = slice(first, min(first + at_once, batch.stop))
+                mine = pairs[:, (ray >= some.start) & (ray < some.stop)]
+                yield np.unique(np.hstack([mine, *self._blurred_pairs(some, o, d)]), axis=1)
 
     @cached_property
     def blurred(self) -> "BlurredPrimitives":
@@ -125,7 +130,8 @@ class SceneModel:
             if model.growth
         ]
         prim, growth = (np.concatenate(each) for each in zip((np.zeros(0, int), np.zeros(0)), *grown, strict=True))
-        prim, growth = prim[growth > BOX_MARGIN], growth[growth > BOX_MARGIN]
+        beyond = growth > 0.5 * BOX_MARGIN  # which counts the largest coordinate, at least 1 / sqrt(3) of a length
+        prim, growth = prim[beyond], growth[beyond]
         low, high = (corner[prim] for corner in self.boxes)
         return BlurredPrimitives(prim, 0.5 * (low + high), 0.5 * norm(high - low), growth)
 
@@ -136,10 +142,9 @@ class SceneModel:
         for first in range(0, len(self.blurred.prim), BLURRED_PER_CHUNK):
             prim, center, radius, growth = (a[first : first + BLURRED_PER_CHUNK] for a in self.blurred)
             way = center - o[batch, None]
-            distance = np.linalg.norm(way, axis=2)
             along = np.einsum("rpi,ri->rp", way, d[batch]) / length
-            off = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
-            ray, which = np.nonzero(~(off > radius + growth * distance))
+            off = np.sqrt(np.maximum((way**2).sum(axis=2) - along**2, 0.0))
+            ray, which = np.nonzero(~(off > radius + growth * (norm(o[batch])[:, None] + norm(center))))
             yield np.stack([ray + batch.start, prim[which]])
 
 

@@ -349,10 +349,11 @@ def intersect_round(
     return tuple(found)
 
 
-# A ray that starts at distance R from the centre starts at most size R from it in object space, size being the length
-# there of a direction along the shortest semi-axis. Its components are at most twice sqrt(3) of that, its overshoot at
-# most size R beyond. `intersect_round` finds it possible up to the distance 1 + error + sqrt(change) from the centre.
-COMPONENTS_PER_DISTANCE = 2.0 * math.sqrt(3.0)
+# With reach = |o| + |center|, and size the length in object space of a direction along the shortest semi-axis, a ray
+# starts at most size reach from the centre there. Its components, of |o| + |t d| and of the centre, are at most
+# 2 sqrt(3) size reach, and its overshoot is size reach beyond. `intersect_round` finds it possible up to the distance
+# 1 + error + sqrt(change).
+COMPONENTS_PER_REACH = 2.0 * math.sqrt(3.0)
 
 
 @without_float_warnings
@@ -361,7 +362,7 @@ def growth_of_ellipsoids(prims: Any, *, float32: bool = False) -> Array:
     longest, _, shortest = np.linalg.svd(prims.to_world, compute_uv=False).T
     size = 1.0 / shortest
     beyond = np.maximum(size - 1.0, 1.0 - 1.0 / longest if float32 else 0.0)
-    off = KU * (beyond + COMPONENTS_PER_DISTANCE)
+    off = KU * (beyond + COMPONENTS_PER_REACH)
     if float32:
         off += math.sqrt(QUADRATIC_ROUNDINGS * KU) * beyond
     return np.asarray(longest * size * off)

@@ -297,15 +297,15 @@ def test_a_thin_ellipsoid_may_be_hit_by_a_ray_that_passes_it_by_far(t, allowed):
 
 
 @pytest.mark.parametrize("make", [thin_ellipsoids, lambda matrix: Sphere(to_world=[{"matrix": matrix}])])
-@pytest.mark.parametrize("size", [1e-3, 0.03, 1.0, 30.0])
-def test_a_possible_hit_is_never_too_far_off_to_be_considered(make, size):
+@pytest.mark.parametrize(("size", "far"), [(1e-3, 0.0), (0.03, 0.0), (1.0, 0.0), (30.0, 0.0), (1.0, 1e4), (1e3, 1e7)])
+def test_a_possible_hit_is_never_too_far_off_to_be_considered(make, size, far):
     """Ellipsoids with semi-axes down to a hundredth of the longest, and rays that pass them at up to 10^4 radii."""
     rng, possible = np.random.default_rng(6), 0
     for _ in range(30):
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         matrix = np.eye(4)
         matrix[:3, :3] = turn * (size * 10.0 ** -rng.uniform(0.0, 2.0, 3))
-        matrix[:3, 3] = rng.normal(size=3)
+        matrix[:3, 3] = rng.normal(size=3) + far * unit(rng.normal(size=(1, 3)))[0]
         o = matrix[:3, 3] + 10.0 ** rng.uniform(0.0, 4.0, (100, 1)) * unit(rng.normal(size=(100, 3)))
         off = size * 10.0 ** rng.uniform(-3.0, 4.0, (100, 1)) * unit(rng.normal(size=(100, 3)))
         d = unit(matrix[:3, 3] + off - o)
