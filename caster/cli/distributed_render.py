@@ -83,7 +83,9 @@ def scene_of(file: str, mesh_dirs: tuple[str, ...], sha256: str) -> Scene:
     scene = load_scene(file, mesh_dirs)
     if scene.sha256() != sha256:
         where = f"the worker on {platform.node()}"
-        raise SceneError(f"{file}: the scene or a mesh file of it is another one for {where} than for this run")
+        raise SceneError(
+            f"{file}: {where} has another version of the scene or a mesh than this run: copy the files there"
+        )
     return scene
 
 

@@ -116,7 +116,7 @@ def dispatcher_of(function: Callable[..., Any], options: dict[str, Any], *, from
     return KernelDispatcher(function, targetoptions=every, pipeline_class=compiler.Compiler)
 
 
-_DISPATCHERS: dict[tuple[Callable[..., Any], bool], Any] = {}
+_DISPATCHERS: dict[tuple[Callable[..., Any], frozenset[tuple[str, Any]]], Any] = {}
 
 
 def decorator_of_bodies(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -129,7 +129,7 @@ def decorator_of_bodies(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         if "forceinline" not in options:
             return dispatcher_of(function, options)
-        key = function, options["forceinline"]
+        key = function, frozenset(options.items())
         return _DISPATCHERS.get(key) or _DISPATCHERS.setdefault(key, dispatcher_of(function, options))
 
     return decorate

@@ -1,4 +1,4 @@
-"""Single triangles, and the edge distances of the triangle kind."""
+"""Single triangles."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal

@@ -12,7 +12,7 @@ from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.html_report import commit
 from mitsuba_ref.report.results import libllvm
 
-LOAD = "load before"
+LOAD, CORES = "load before", "processors used"
 CPU_INFO = Path("/proc/cpuinfo")  # of Linux
 
 
@@ -21,7 +21,7 @@ def machine_properties() -> dict[str, str]:
     return {
         **machine(),
         **({"processor": named[1]} if named else {}),
-        "processors used": f"{core_count()} of {os.cpu_count() or 1}",
+        CORES: f"{core_count()} of {os.cpu_count() or 1}",
         "kernel": platform.release(),
         LOAD: f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
         "caster": __version__,

@@ -47,7 +47,7 @@ class Contender(Description):
         if not self.name:
             raise field_error("may not be empty", "name")
         if self.candidate is None and (without := self.model_fields_set - {"name"}):
-            raise field_error("needs a candidate, which it is about", min(without))
+            raise field_error("is an option of a candidate, and none is given", min(without))
         return self
 
     def words(self) -> tuple[str, ...]:

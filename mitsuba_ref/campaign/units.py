@@ -134,9 +134,14 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str,
     if isinstance(job, SceneJob):
         for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
             key = _scene_key(path)
-            for size, bounce in product(job.sizes or (None,), range(job.bounces + 1)):
-                inputs = with_inputs_hash(SceneEntry("", path, size)).inputs
-                yield {"scene": name, "path": path, "inputs": inputs, "size": size, "bounce": bounce}, key
+            for size in job.sizes or (None,):
+                about: dict[str, Any] = {
+                    "scene": name,
+                    "path": path,
+                    "inputs": with_inputs_hash(SceneEntry("", path, size)).inputs,
+                }
+                for bounce in range(job.bounces + 1):
+                    yield about | {"size": size, "bounce": bounce}, key
     elif isinstance(job, FilmJob):
         names = ("seed", "scene", "family", "size", "bounce")
         for values in product(seeds, range(job.scenes), job.families, job.sizes, range(job.bounces + 1)):
@@ -208,7 +213,7 @@ def subject_of(contender: Contender, files: str) -> Subject | None:
         return None
     if _files_key(contender) != files:
         where = f"the worker on {os.uname().nodename}"
-        raise SceneError(f"the files of {contender.candidate} are others for {where} than for this run")
+        raise SceneError(f"{where} has another version of {contender.candidate} than this run: copy its files there")
     return parse_candidate(contender.candidate, contender.precision, contender.timeout, served=contender.serve)
 
 

@@ -15,7 +15,7 @@ from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
-from mitsuba_ref.bench.machine import LOAD, machine_properties
+from mitsuba_ref.bench.machine import CORES, LOAD, machine_properties
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.result import CANDIDATE_ROW, Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
@@ -161,6 +161,7 @@ def run_bench(args: argparse.Namespace) -> int:
             done.append(result)
             print(f"{as_text(result)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
+        recorded["threads"] = threads or int(machine[CORES].partition(" ")[0])
         report_run(Run(recorded, machine, requested, tuple(done)), args)
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.side == casters.OURS)

@@ -2,12 +2,13 @@
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 from caster.description.errors import SceneError
 from caster.scene.files import load_scene
-from caster.system.process import NOTHING_SELECTED, report_error
+from caster.system.process import NOTHING_SELECTED, OK, report_error
 from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import NUMBERS
 from mitsuba_ref.cli.options import reading_of, report_address
@@ -17,7 +18,7 @@ from mitsuba_ref.report.results import plural, print_lines
 
 
 def run_compare(args: argparse.Namespace) -> int:
-    """Print the comparison; 0 pass, 1 differences, 3 not comparable, 4 a file is missing, 5 nothing to compare."""
+    """Print the comparison; 0 pass, 1 differences, 2 unclear, 3 not comparable, 4 missing, 5 nothing to compare."""
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
@@ -32,7 +33,7 @@ def run_compare(args: argparse.Namespace) -> int:
 
 
 def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: Reading) -> int:
-    """Compare every EXR file of the reference's folder; the exit code is the highest of all."""
+    """Compare every EXR file of the reference's folder; the highest exit code, but 5 only without another failure."""
     folders = Path(args.ours), Path(args.reference)
     if args.html:
         raise SceneError("--html: expected two files, not folders")
@@ -54,8 +55,9 @@ def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: R
     failed = sum(not result.ok for result in done)
     if args.json:
         print(json.dumps([result.model_dump(mode="json") for result in done], indent=2))
-    else:
-        if alone := [name for name in ours if name not in references]:
-            print_lines(f"not compared, without a reference: {', '.join(alone)}")
+    if alone := [name for name in ours if name not in references]:
+        print_lines(f"not compared, without a reference: {', '.join(alone)}", sys.stderr if args.json else sys.stdout)
+    if not args.json:
         print_lines(f"\n{plural(len(done), 'image')}: {len(done) - failed} pass, {failed} fail")
-    return max(result.exit_code for result in done)
+    codes = {result.exit_code for result in done}
+    return max(codes - {NOTHING_SELECTED}, default=OK) or max(codes)

@@ -68,9 +68,8 @@ class Drawing:
 
     seed: int = 0
     families: tuple[str, ...] = tuple(BY_NAME)
-    judge_every: int = (
-        JUDGE_EVERY  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
-    )
+    # One example in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none.
+    judge_every: int = JUDGE_EVERY
     rays: int = RAYS_PER_EXAMPLE
     candidate: Subject | None = None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
     types: tuple[str, ...] = shape_types()  # of the shapes that the scenes keep

@@ -35,6 +35,8 @@ from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.subjects.ray_files import HitsFile, RayList, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
 
+UNKNOWN = "unknown"  # hash of inputs that cannot be read
+
 
 @dataclass(frozen=True)
 class SceneEntry:
@@ -69,11 +71,11 @@ def inputs_hash(entry: SceneEntry, scene: Scene | None = None) -> str:
 
 
 def with_inputs_hash(entry: SceneEntry) -> SceneEntry:
-    """The entry with what a worker elsewhere has to find; one that cannot be loaded is for the worker to report."""
+    """The entry with its inputs_hash, or UNKNOWN: then no worker judges it."""
     try:
         return replace(entry, inputs=inputs_hash(entry))
-    except SceneError:
-        return entry
+    except (SceneError, MemoryError):
+        return replace(entry, inputs=UNKNOWN)
 
 
 def entries_of_hits(
@@ -193,7 +195,9 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     scene = entry.load()
     if entry.inputs and inputs_hash(entry, scene) != entry.inputs:
         where = f"the worker on {os.uname().nodename}"
-        raise SceneError(f"{entry.path}: the scene or a mesh file of it is another one for {where} than for this run")
+        raise SceneError(
+            f"{entry.path}: {where} has another version of the scene or a mesh than this run: copy the files there"
+        )
     folder, foreign = options.folder, entry.subject or options.subject
     # The files of --out and the pages of --html are made of what is seen, which is not stored.
     storable = options.store and not (folder or options.page_of or foreign)

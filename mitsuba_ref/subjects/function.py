@@ -161,7 +161,7 @@ def _hits(returned: Any) -> dict[str, Any]:
         got = f"one array of shape {returned.shape}" if isinstance(returned, np.ndarray) else got
         raise NoAnswer(f"expected two arrays (t, n), got {got}; {CALLED}")
     t, n, *ids = returned
-    return {"t": t, "n": n} | ({"prim_id": np.asarray(ids[0])} if ids else {})
+    return {"t": t, "n": n} | ({"prim_id": np.asarray(ids[0])} if ids and ids[0] is not None else {})
 
 
 def _exception_with_calls(error: BaseException) -> str:

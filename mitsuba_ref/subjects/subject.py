@@ -90,9 +90,8 @@ def checked_answer(
     """The answer from a candidate's arrays. precision: as declared; None: that of the arrays.
 
     there: (m,) bool, the pixels that have a row of the arrays; the others miss. t_max: a hit beyond it counts as a
-    miss. n may be None. Each normal is divided
-    by its length. Rows are no answer where t is NaN, negative or -inf, or where a hit has a normal that is not finite
-    or has no length. Raises NoAnswer for arrays of another shape or type.
+    miss. n may be None. Each normal is divided by its length. Rows are no answer where t is NaN, negative or -inf, or
+    where a hit has a normal that is not finite or has no length. Raises NoAnswer for arrays of another shape or type.
     """
     count = int(there.sum())
     t = spread(checked_array("t", t, (count,), np.inf), there, np.inf)

@@ -17,7 +17,7 @@ from caster.__main__ import main as caster_main
 from caster.cli.distributed_render import render_band, scene_of
 from caster.system.cluster import CallEnded, Cluster, ClusterError
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.bench.machine import LOAD
+from mitsuba_ref.bench.machine import CORES, LOAD
 from mitsuba_ref.bench.result import SceneResult
 from mitsuba_ref.cli import experiments
 from mitsuba_ref.runner.engine import worker_identity
@@ -232,7 +232,7 @@ def test_a_worker_with_another_scene_renders_and_judges_nothing(tmp_path):
         lambda: render_band(str(file), (), sha256, (24, 16), (0, 0, 24, 4), ("depth",)),
         lambda: judge_entry(entry, JudgeOptions(store=False)),
     ):
-        with pytest.raises(caster.SceneError, match=r"one\.toml: the scene or a mesh file of it is another one"):
+        with pytest.raises(caster.SceneError, match=r"one\.toml: the worker on .* has another version"):
             call()
 
 
@@ -290,7 +290,7 @@ def test_bench_times_on_one_worker_a_machine(tmp_path, monkeypatch, capsys):
 
 
 def test_bench_refuses_times_of_different_machines(tmp_path, monkeypatch, capsys):
-    fast, slow = ({"processor": name, LOAD: name} for name in ("fast", "slow"))
+    fast, slow = ({"processor": name, LOAD: name, CORES: "2 of 4"} for name in ("fast", "slow"))
     result = SceneResult("one-sphere", "", "film", 1, ())
     for second, code in (({**fast, LOAD: "9"}, 0), (slow, 2)):
         monkeypatch.setattr(
@@ -298,7 +298,8 @@ def test_bench_refuses_times_of_different_machines(tmp_path, monkeypatch, capsys
         )
         file = tmp_path / f"{code}.json"
         assert main(["bench", "one-sphere", "mesh-70k", "--engine", "dask:tcp://x:1", "--json", str(file)]) == code
-        assert len(json.loads(file.read_text())["scenes"]) == 2 - (code > 0)
+        record = json.loads(file.read_text())
+        assert len(record["scenes"]) == 2 - (code > 0) and record["settings"]["threads"] == 2
     assert "expected equal machines, got two of another processor" in capsys.readouterr().err
 
 

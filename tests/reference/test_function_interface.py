@@ -88,6 +88,14 @@ def test_one_wrong_number_fails(scene, shape):
     assert verdict.scenes[0].counts["wrong"] == 1, str(verdict)
 
 
+def test_a_function_may_return_none_for_numbers(scene):
+    def unnumbered(scene, o, d):
+        hits = caster.cast(scene, o, d)
+        return hits.t, hits.normal, None
+
+    assert mitsuba_ref.validate(scene, candidate=unnumbered).ok
+
+
 def test_limits_that_a_function_takes_have_to_be_heeded(scene):
     verdict = mitsuba_ref.validate(scene, candidate=careless)
     assert verdict.scenes[0].ok and not verdict.ok

@@ -43,7 +43,7 @@ def units(tmp_path, monkeypatch):
         ('[[job]]\ntype = "films"\nscenes = 1\nsizes = [[70000, 9]]\n', "sizes[0][0] must be <= 65536"),
         (FUZZ.replace("30", "2_000_000_000"), "campaign.toml:4:1: job[0] (fuzz): examples must be <= 10000000"),
         ('[[subject]]\nname = ""\n' + FUZZ, "campaign.toml:2:1: subject[0]: name may not be empty"),
-        ("[[subject]]\nserve = true\n" + FUZZ, "campaign.toml:2:1: subject[0]: serve needs a candidate"),
+        ("[[subject]]\nserve = true\n" + FUZZ, ":2:1: subject[0]: serve is an option of a candidate, and"),
         (SCENES.format("builtin:scna"), ":3:11: job[0] (scenes): scenes[0] names no scene: builtin:scna: expected"),
         (SCENES.format("builtin:triangle"), "did you mean 'triangles'?"),
         ('[[subject]]\nname = "s"\ncandidate = "python \'broken"\n' + FUZZ, "subject 's': candidate"),
@@ -100,10 +100,10 @@ def test_a_worker_with_other_files_than_the_run_judges_nothing(units, tmp_path):
     (tmp_path / "mine.py").write_text("def trace(scene, o, d): ...")
     ours, mine = units('[[subject]]\n[[subject]]\nname = "mine"\ncandidate = "mine:trace"\n' + SCENES.format("x.toml"))
     (tmp_path / "mine.py").write_text("def trace(scene, o, d): return None")
-    with pytest.raises(SubjectError, match="the files of mine:trace are others for the worker"):
+    with pytest.raises(SubjectError, match=r"the worker on .* has another version of mine:trace"):
         run_unit(mine)
     (tmp_path / "x.toml").write_text(ball + "radius = 2\n")
-    with pytest.raises(SceneError, match=r"x\.toml: the scene or a mesh file of it is another one for the worker"):
+    with pytest.raises(SceneError, match=r"x\.toml: the worker on .* has another version of the scene or a mesh"):
         run_unit(ours)
 
 

@@ -434,3 +434,16 @@ def test_files_of_the_same_names_are_compared_and_the_highest_code_counts(tmp_pa
     )
     assert [each["exit_code"] for each in json.loads(run("--json")[1])] == [4, 1]
     assert main(["compare", *map(str, folders), "--html", str(tmp_path / "page")]) == 2
+
+
+@pytest.mark.parametrize(("codes", "code"), [((0, 0), 0), ((0, 5), 5), ((1, 5), 1), ((5, 5), 5), ((1, 4), 4)])
+def test_nothing_to_compare_hides_no_other_failure_of_a_folder(tmp_path, monkeypatch, codes, code):
+    made = {f"{i}.exr": each for i, each in enumerate(codes)}
+    for name in made:
+        (tmp_path / name).touch()
+
+    def compared_as(ours, reference, *_, **__):
+        return FileComparison(ours=ours, reference=reference, exit_code=made[Path(ours).name])
+
+    monkeypatch.setattr("mitsuba_ref.cli.exr_comparison.compare_exr", compared_as)
+    assert main(["compare", str(tmp_path), str(tmp_path), "--json"]) == code

@@ -1,4 +1,4 @@
-"""Hulls, edge distances and projections of each kind and camera, against independent formulas."""
+"""Hulls and projections of each kind and camera, against independent formulas."""
 
 import math
 
