@@ -82,9 +82,9 @@ def scene_of(file: str, mesh_dirs: tuple[str, ...], sha256: str) -> Scene:
     """The scene, loaded once by each worker. Raises SceneError if it is another one here."""
     scene = load_scene(file, mesh_dirs)
     if scene.sha256() != sha256:
-        where = f"the worker on {platform.node()}"
         raise SceneError(
-            f"{file}: {where} has another version of the scene or a mesh than this run: copy the files there"
+            f"{file}: the worker on {platform.node()} has another version of the scene or a mesh than this run: "
+            "copy the files there"
         )
     return scene
 

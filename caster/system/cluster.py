@@ -176,10 +176,11 @@ class Cluster:
             if engine != DASK:  # a worker of an earlier run has modules and programs of candidates as they were then
                 old = [*self.client.scheduler_info(n_workers=-1)["workers"]]
                 self.client.restart_workers(old, timeout=CONNECT_SECONDS)
+                self.client.wait_for_workers(1, timeout=CONNECT_SECONDS)
         except (OSError, ValueError, RuntimeError) as error:  # TimeoutError is an OSError
             self._stack.close()
             raise ClusterError(
-                f"--engine {engine}: no scheduler answers there ({error or type(error).__name__}); "
+                f"--engine {engine}: no scheduler with workers answers there ({error or type(error).__name__}); "
                 "`dask scheduler` prints the address of the one that it starts"
             ) from error
 
@@ -192,8 +193,7 @@ class Cluster:
 
     def check_one_worker_a_machine(self) -> None:
         """Raise ClusterError where workers would disturb each other's times."""
-        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
-        hosts = Counter(worker["host"] for worker in workers)
+        hosts = Counter(worker["host"] for worker in self.client.scheduler_info(n_workers=-1)["workers"].values())
         if crowded := [f"{count} on {host}" for host, count in hosts.items() if count > 1]:
             raise ClusterError(f"--engine {self.engine}: expected one worker a machine, got {', '.join(crowded)}")
 

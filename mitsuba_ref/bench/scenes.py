@@ -69,8 +69,8 @@ def incoherent(scene: Scene) -> Rays:
 
 def scene_of_file(path: str, mesh_dirs: Sequence[str] = ()) -> BenchScene:
     """The scene of a scene or mesh file. Raises SceneError, FileMissing."""
-    scene = load_scene(path, mesh_dirs)
-    return BenchScene(Path(path).stem, path, lambda: scene)
+    load_scene(path, mesh_dirs)  # its errors come before any work
+    return BenchScene(Path(path).stem, path, partial(load_scene, path, mesh_dirs))
 
 
 def with_aovs(scene: BenchScene, aovs: Sequence[str]) -> BenchScene:
@@ -88,8 +88,8 @@ def of_file(name: str, title: str, *rest: Any, file: str = "", **more: Any) -> B
 RING, MESH = "mesh-70k", "the mesh of 70,224 triangles"
 SCENES = (
     of_file("one-sphere", "one sphere"),
-    BenchScene("spheres-200", "200 spheres", lambda: spheres(200)),
-    BenchScene("spheres-10k", "10,000 spheres", lambda: spheres(10_000)),
+    BenchScene("spheres-200", "200 spheres", partial(spheres, 200)),
+    BenchScene("spheres-10k", "10,000 spheres", partial(spheres, 10_000)),
     of_file(RING, "a closed mesh of 70,224 triangles"),
     of_file("mesh-1m", "hills of 999,698 triangles"),
     BenchScene("overdraw-256", "256 squares behind each other", layers),

@@ -88,6 +88,8 @@ def run(args: argparse.Namespace) -> int:
     """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing to run or judged, 130 interrupted."""
     file = Path(args.file)
     if file.suffix.lower() not in (".toml", ".json"):
+        if args.unit or args.history:
+            raise SceneError(f"{args.file}: expected the campaign file with --unit or --history, got a history")
         with History(file) as history:
             return show(history, args, ran=False)
     campaign, text = read_campaign(args.file)

@@ -212,8 +212,10 @@ def subject_of(contender: Contender, files: str) -> Subject | None:
     if contender.candidate is None:
         return None
     if _files_key(contender) != files:
-        where = f"the worker on {os.uname().nodename}"
-        raise SceneError(f"{where} has another version of {contender.candidate} than this run: copy its files there")
+        raise SceneError(
+            f"the worker on {os.uname().nodename} has another version of {contender.candidate} than this run: "
+            "copy its files there"
+        )
     return parse_candidate(contender.candidate, contender.precision, contender.timeout, served=contender.serve)
 
 

@@ -150,7 +150,6 @@ def run_bench(args: argparse.Namespace) -> int:
         caster = casters.candidate_caster(str(args.candidate), args.candidate_precision, served=served)
     recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
     machine: Mapping[str, str] = machine_properties()
-    requested = tuple(scene.name for scene in scenes)
     done, calls = list[SceneResult](), [(scene, caster, settings) for scene in scenes]
     try:
         for its_machine, result in timed_here(machine, calls) if here else timed_elsewhere(args.engine, calls):
@@ -162,7 +161,7 @@ def run_bench(args: argparse.Namespace) -> int:
             print(f"{as_text(result)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         recorded["threads"] = threads or int(machine[CORES].partition(" ")[0])
-        report_run(Run(recorded, machine, requested, tuple(done)), args)
+        report_run(Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done)), args)
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
@@ -194,8 +193,8 @@ def timed_elsewhere(name: str, calls: Sequence[BenchCall]) -> Iterator[TimedScen
 
 
 def time_on_worker(scene: BenchScene, caster: casters.TimedCaster | None, settings: Settings) -> TimedScene:
-    settings = replace(settings, threads=settings.threads or core_count())
-    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), settings)
+    every = replace(settings, threads=settings.threads or core_count())
+    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), every)
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:

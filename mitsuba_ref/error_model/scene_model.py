@@ -119,7 +119,7 @@ class SceneModel:
             for first in range(batch.start, batch.stop, at_once):
                 some = slice(first, min(first + at_once, batch.stop))
                 mine = pairs[:, (ray >= some.start) & (ray < some.stop)]
-                yield np.unique(np.hstack([mine, *self._blurred_pairs(some, o, d)]), axis=1)
+                yield np.unique(np.hstack([mine, self._blurred_pairs(some, o, d)]), axis=1)
 
     @cached_property
     def blurred(self) -> "BlurredPrimitives":
@@ -136,19 +136,14 @@ class SceneModel:
         return BlurredPrimitives(prim, 0.5 * (low + high), 0.5 * norm(high - low), growth)
 
     @without_overflow_warnings
-    def _blurred_pairs(self, batch: slice, o: Array, d: Array) -> Iterator[Array]:
+    def _blurred_pairs(self, batch: slice, o: Array, d: Array) -> Array:
         """(2, m) pairs of a ray of the batch and a blurred primitive whose sphere, with its growth, its line passes."""
-        length = norm(d[batch])[:, None]
-        for first in range(0, len(self.blurred.prim), BLURRED_PER_CHUNK):
-            prim, center, radius, growth = (a[first : first + BLURRED_PER_CHUNK] for a in self.blurred)
-            way = center - o[batch, None]
-            along = np.einsum("rpi,ri->rp", way, d[batch]) / length
-            off = np.sqrt(np.maximum((way**2).sum(axis=2) - along**2, 0.0))
-            ray, which = np.nonzero(~(off > radius + growth * (norm(o[batch])[:, None] + norm(center))))
-            yield np.stack([ray + batch.start, prim[which]])
-
-
-BLURRED_PER_CHUNK = 1 << 10  # tested at once with a batch of rays
+        prim, center, radius, growth = self.blurred
+        way = center - o[batch, None]
+        along = np.einsum("rpi,ri->rp", way, d[batch]) / norm(d[batch])[:, None]
+        off = np.sqrt(np.maximum((way**2).sum(axis=2) - along**2, 0.0))
+        ray, which = np.nonzero(~(off > radius + growth * (norm(o[batch])[:, None] + norm(center))))
+        return np.stack([ray + batch.start, prim[which]])
 
 
 class BlurredPrimitives(NamedTuple):

@@ -194,9 +194,9 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
         set_default_threads(options.threads)
     scene = entry.load()
     if entry.inputs and inputs_hash(entry, scene) != entry.inputs:
-        where = f"the worker on {os.uname().nodename}"
         raise SceneError(
-            f"{entry.path}: {where} has another version of the scene or a mesh than this run: copy the files there"
+            f"{entry.path}: the worker on {os.uname().nodename} has another version of the scene or a mesh than this "
+            "run: copy the files there"
         )
     folder, foreign = options.folder, entry.subject or options.subject
     # The files of --out and the pages of --html are made of what is seen, which is not stored.

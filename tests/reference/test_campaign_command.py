@@ -190,6 +190,7 @@ def test_a_budget_ends_the_run_and_the_next_call_goes_on(campaign):
             "the campaign has no such unit; the first of 2 is 'ours fuzz seed=0 family=",
         ),
         (["c.toml", "--html", "-", "--json", "-"], 2, "--html -: expected a file, since the JSON"),
+        (["no.sqlite", "--unit", "x"], 2, "no.sqlite: expected the campaign file with --unit or --history"),
         (["empty.toml"], 5, "nothing selected"),
         (["vacuous.toml"], 5, "nothing judged"),
     ],

@@ -164,10 +164,19 @@ def test_workers_of_several_threads_are_refused(jobs):
         list(outcomes_of(cluster, jobs, [1]))
 
 
+@pytest.mark.slow("starts clusters")
+def test_a_scheduler_without_workers_is_named(jobs, monkeypatch):
+    monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 3.0)
+    with scheduler(workers=0) as (address, _), pytest.raises(ClusterError, match="no scheduler with workers answers"):
+        Cluster(f"dask:{address}", 1, jobs.what)
+
+
 def test_no_scheduler_at_the_address(monkeypatch, capsys):
     monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 0.5)
     assert main(["validate", "--builtin", "spheres", "--engine", "dask:tcp://127.0.0.1:9"]) == 2
-    assert "--engine dask:tcp://127.0.0.1:9: no scheduler answers there" in " ".join(capsys.readouterr().err.split())
+    assert "--engine dask:tcp://127.0.0.1:9: no scheduler with workers answers there" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 @pytest.mark.slow("starts clusters")

@@ -1,6 +1,7 @@
 """`mitsuba-ref bench` counts right, finds every planted fault and reports all of it. No Mitsuba, no timing."""
 
 import json
+import pickle
 import signal
 import sys
 from dataclasses import replace
@@ -18,12 +19,19 @@ from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.drivers import AOVS, FILM
 from mitsuba_ref.bench.measuring import CasterEnded, CasterRun, Settings, time_scene
 from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Score, as_text, overview, rows
-from mitsuba_ref.bench.scenes import SCENES
+from mitsuba_ref.bench.scenes import SCENES, scene_of_file
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.judge.verdict import as_json
 from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded
 from mitsuba_ref.report.results import write_result
+
+
+def test_every_scene_can_be_sent_to_a_worker(tmp_path):
+    (tmp_path / "ball.toml").write_text('[camera]\ntype = "ray"\norigin = [0, 0, 5]\ndirection = [0, 0, -1]\n')
+    for scene in (*SCENES, scene_of_file(str(tmp_path / "ball.toml"))):
+        assert pickle.loads(pickle.dumps(scene)).name == scene.name
+
 
 BY_NAME = {scene.name: scene for scene in SCENES}
 
