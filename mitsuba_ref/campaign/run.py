@@ -17,7 +17,7 @@ from caster.system.terminal import ProgressBar
 from mitsuba_ref.campaign.description import Campaign, read_campaign
 from mitsuba_ref.campaign.history import BUDGET, COMPLETE, INTERRUPTED, History
 from mitsuba_ref.campaign.report import as_html, as_text, keep_scenes, report_of
-from mitsuba_ref.campaign.units import SUBJECT, Result, SubjectError, Unit, ended, run_unit, units_of
+from mitsuba_ref.campaign.units import SCENE_PLACE, SUBJECT, Result, SubjectError, Unit, ended, run_unit, units_of
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import machine
@@ -162,5 +162,6 @@ def run_one(units: list[Unit], name: str) -> int:
     counts = ", ".join(f"{key} {value:g}" for key, value in result.counts.items())
     print_lines(f"{name}: {result.rays} rays, {result.hits} hits, {result.agree} agree; {counts}")
     for each in result.failures:
-        print_lines(f"{each.side}: {each.cause} ({each.times}): {each.what}\n      replay: {each.replay}")
+        replay = f"{each.replay.replace(SCENE_PLACE, 'scene.toml')}\n{each.scene}".rstrip()  # the scene follows, if any
+        print_lines(f"{each.side}: {each.cause} ({each.times}): {each.what}\n      replay: {replay}")
     return DIFFERENCES if any(each.side == SUBJECT for each in result.failures) else OK

@@ -8,6 +8,7 @@ import pytest
 from caster.description.errors import FileMissing, SceneError
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.campaign import report as reports
+from mitsuba_ref.campaign import run
 from mitsuba_ref.campaign import units as module
 from mitsuba_ref.campaign.description import read_campaign
 from mitsuba_ref.campaign.history import History
@@ -105,6 +106,14 @@ def test_a_worker_with_other_files_than_the_run_judges_nothing(units, tmp_path):
     (tmp_path / "x.toml").write_text(ball + "radius = 2\n")
     with pytest.raises(SceneError, match=r"x\.toml: the worker on .* has another version of the scene or a mesh"):
         run_unit(ours)
+
+
+def test_a_unit_alone_prints_the_scene_of_its_replay(units, monkeypatch, capsys):
+    (unit, *_) = units(FUZZ)
+    failure = Failure(SUBJECT, "missed", "ours: miss", 2, "mitsuba-ref probe {scene} 0 0", "# one ray\n[film]\n")
+    monkeypatch.setattr(run, "run_unit", lambda _: Result("", 9, 4, 7, failures=(failure,)))
+    assert run.run_one([unit], unit.name) == 1
+    assert capsys.readouterr().out.endswith("replay: mitsuba-ref probe scene.toml 0 0\n# one ray\n[film]\n")
 
 
 def test_units_by_name_number_and_working_folder(units, tmp_path, monkeypatch):
