@@ -26,7 +26,7 @@ from caster.system.cluster import CallEnded
 from mitsuba_ref.campaign.description import AnyJob, Campaign, Contender, FilmJob, FuzzJob, SceneJob
 from mitsuba_ref.fuzz.checks import answered_types
 from mitsuba_ref.fuzz.findings import Tally
-from mitsuba_ref.fuzz.fuzz_run import Drawing, Example
+from mitsuba_ref.fuzz.fuzz_run import EXAMPLES_A_CALL, Drawing, Example
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_families import FILMS
@@ -42,7 +42,6 @@ from mitsuba_ref.subjects.function import FUNCTION_PATTERN
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
 
-EXAMPLES_A_UNIT = 10  # of fuzz; 0.1 s of CPU each
 MAX_UNITS = 200_000
 SUBJECT, REFERENCE = "subject", "reference"  # whose fault it is
 SCENE_PLACE = "{scene}"  # in a replay, for the file of the failure's own scene
@@ -148,9 +147,9 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str,
             yield dict(zip(names, values, strict=True)), ""
     elif isinstance(job, FuzzJob):
         for seed, first, family, rays in product(
-            seeds, range(0, job.examples, EXAMPLES_A_UNIT), job.families, job.rays
+            seeds, range(0, job.examples, EXAMPLES_A_CALL), job.families, job.rays
         ):
-            examples = min(EXAMPLES_A_UNIT, job.examples - first)
+            examples = min(EXAMPLES_A_CALL, job.examples - first)
             about = {"seed": seed, "family": family, "first": first, "examples": examples}
             yield about | {"rays": rays, "judge_every": job.judge_every}, ""
     else:

@@ -31,6 +31,7 @@ from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 RAYS_PER_EXAMPLE, JUDGE_EVERY = 40, 16  # rays: before those with limits
+EXAMPLES_A_CALL = 10  # 0.03 s of CPU each, 0.1 s and more where Mitsuba judges
 KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shrunk and kept; all are counted
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
 ENDED = "the process that casts and judges ended"
@@ -105,9 +106,9 @@ class Drawing:
         return findings + (find(case, "judged", tally) if judged else [])
 
 
-def try_example(drawing: Drawing, number: int) -> tuple[Tally, list[Finding]]:
-    """Try one example in this process."""
-    return drawing.tried(number)
+def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[tuple[Tally, list[Finding]]]:
+    """Try examples in this process, one after the other."""
+    return [drawing.tried(number) for number in numbers]
 
 
 @dataclass
@@ -126,6 +127,8 @@ class FuzzRun:
     def __post_init__(self) -> None:
         self.subject = self.drawing.candidate or OURS
         self.outcome = Outcome(self.drawing.seed, candidate=self.subject.name)
+        # A candidate, which may not bear forks or threads, runs in this process on its own.
+        self.here = self.drawing.candidate is not None and self.engine == LOCAL
 
     def run(self) -> Iterator[Outcome]:
         """Yield the outcome after each example, in their order."""
@@ -134,27 +137,35 @@ class FuzzRun:
         types = answered_types(self.subject)
         self.drawing = replace(self.drawing, types=types)
         self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
-        # A candidate, which may not bear forks or threads, runs in this process on its own.
-        here = self.drawing.candidate is not None and self.engine == LOCAL
-        numbers, again = itertools.tee(self.numbers)
-        calls = (
-            (self.drawing, each) for each in itertools.takewhile(lambda _: time.monotonic() < self.deadline, again)
-        )
-        with (
-            opened(self.engine, 1 if here else self.workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT, forks=not here) as engine,
-            closing(engine.map(try_example, calls)) as outcomes,
-        ):
-            for outcome, number in zip(outcomes, numbers, strict=False):
-                if isinstance(outcome.error, CallEnded):
-                    finding = Finding("crash", f"{ENDED}: {outcome.error}")
-                    self._record(number, Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
-                else:
-                    self._record(number, *outcome.value())
-                self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
-                yield self.outcome
-                if time.monotonic() >= self.deadline:
-                    break
+        at_once = 1 if self.here else EXAMPLES_A_CALL
+        for number, tally, findings in self._tried(self.numbers, at_once, self.deadline):
+            self._record(number, tally, findings)
+            self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
+            yield self.outcome
         self.outcome.interrupted = False
+
+    def _tried(
+        self, numbers: Iterable[int], at_once: int, deadline: float
+    ) -> Iterator[tuple[int, Tally, list[Finding]]]:
+        """What came of each example. Those of a call that ended its process are tried again, each by itself."""
+        source = iter(numbers)
+        batches, again = itertools.tee(iter(lambda: tuple(itertools.islice(source, at_once)), ()))
+        calls = ((self.drawing, each) for each in itertools.takewhile(lambda _: time.monotonic() < deadline, again))
+        workers, limit = 1 if self.here else self.workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT
+        with (
+            opened(self.engine, workers, limit, forks=not self.here) as engine,
+            closing(engine.map(try_examples, calls)) as outcomes,
+        ):
+            for outcome, batch in zip(outcomes, batches, strict=False):
+                if not isinstance(outcome.error, CallEnded):
+                    yield from ((number, *each) for number, each in zip(batch, outcome.value(), strict=True))
+                elif len(batch) > 1:
+                    yield from self._tried(batch, 1, float("inf"))
+                else:
+                    finding = Finding("crash", f"{ENDED}: {outcome.error}")
+                    yield batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding]
+                if time.monotonic() >= deadline:
+                    break
 
     def _record(self, number: int, tally: Tally, findings: Sequence[Finding]) -> None:
         if not tally.examples:
