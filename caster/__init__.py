@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from caster.scene.model import Shading as Shading
     from caster.scene.textures import Bitmap as Bitmap
     from caster.scene.textures import Checkerboard as Checkerboard
+    from caster.scene.textures import MeshColors as MeshColors
     from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
 
 __version__ = "0.1.0"
@@ -58,6 +59,7 @@ _HOMES = {
     "Mirror": "caster.scene.model",
     "Checkerboard": "caster.scene.textures",
     "Bitmap": "caster.scene.textures",
+    "MeshColors": "caster.scene.textures",
 }
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 

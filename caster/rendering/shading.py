@@ -89,9 +89,10 @@ class TileShader:
         self._materials = material_tables(scene, packed) if shaded else None
         self._textures = None
         if shaded and any(scene.textures):
-            if "textures" not in scene.derived:
-                scene.derived["textures"] = texture_arrays(scene.textures)
-            self._textures = scene.derived["textures"]
+            derived = packed.kinds[0].derived  # goes with the packed numbers
+            if "textures" not in derived:
+                derived["textures"] = texture_arrays(scene.textures, packed)
+            self._textures = derived["textures"]
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         lights = scene.lights if "radiance" in plan.needs and packed.kinds else ()
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)

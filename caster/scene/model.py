@@ -317,7 +317,7 @@ class Scene(Description):
             text = "\n".join(problem.text for problem in found)
             raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": text})
         for i, (shape, texture) in enumerate(zip(self.shapes, self.textures, strict=True)):
-            if texture is not None and (reason := shape.without_uv()):
+            if texture is not None and (reason := texture.misfit(shape)):
                 text = f"names a material with a texture, but {reason}: give it a colour, or use another shape"
                 raise field_error(text, "shape", i, "material")
         return self
@@ -349,15 +349,18 @@ class Scene(Description):
     def triangles(self) -> NDArray[np.float64]:
         """Corners of all triangles in world space, (n, 3, 3) float64: [triangle, corner, axis], shape after shape.
 
+        They are counter-clockwise seen from the side of the normal.
         Raises NotImplementedError for a shape that is not made of triangles, SceneError for numbers that overflow.
         """
         from caster.geometry.packing import Triangles, packed
 
-        parts = packed(self).parts
-        for shape, part in zip(self.shapes, parts, strict=True):
+        corners = [np.empty((0, 3, 3))]
+        for shape, part in zip(self.shapes, packed(self).parts, strict=True):
             if not isinstance(part, Triangles):
                 raise NotImplementedError(f"a {shape.type} is not made of triangles")
-        return np.concatenate([part.vertices[part.faces] for part in parts] or [np.empty((0, 3, 3))])
+            faces = part.faces[:, [0, 2, 1]] if getattr(shape, "flip_normals", False) else part.faces
+            corners.append(part.vertices[faces])
+        return np.concatenate(corners)
 
     def with_film(
         self, *, width: int | None = None, height: int | None = None, crop: Sequence[int] | None = None

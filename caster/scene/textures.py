@@ -10,13 +10,24 @@ from numpy.typing import NDArray
 from pydantic import Discriminator, PlainSerializer, Tag, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from caster.description.errors import SceneError, child_of
-from caster.description.fields import Description, FixedArray, Flag, Reflectance, Transform, matrix_of
+from caster.description.fields import ArrayOf, Description, FixedArray, Flag, Reflectance, Shape, Transform, matrix_of
 from caster.description.input_files import read_input
-from caster.description.transform import power
+from caster.description.transform import dot_rows, power
 from caster.geometry.mesh_files import load_once, readable
-from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, NO_TEXTURE, REPEAT, Textures
+from caster.geometry.packing import Packed
+from caster.kernels.surface.texturing import (
+    BILINEAR,
+    CLAMP,
+    MIRROR,
+    NEAREST,
+    NO_TEXTURE,
+    OF_MESH,
+    REPEAT,
+    ROWS_PER_FACE,
+    Textures,
+)
 
-__all__ = ["Bitmap", "Checkerboard", "Texture"]
+__all__ = ["Bitmap", "Checkerboard", "MeshColors", "Texture"]
 
 MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
 FLOAT32_DECODING = 1e-6  # levels of sRGB that were decoded in float32 are up to 3.4e-7 off; two levels differ by 3e-4
@@ -26,12 +37,21 @@ WRAPS = {"repeat": REPEAT, "mirror": MIRROR, "clamp": CLAMP}
 
 
 class Texture(Description):
-    """Base of textures: (h, w, 3) linear `texels` over the unit square of its uv; row 0 begins at v = 0.
-
-    `to_uv` maps (u, v, 0) of the surface to the uv of the texture.
-    """
+    """Base of textures."""
 
     type: str
+
+    def misfit(self, shape: Shape) -> str:
+        """Why a shape cannot have the texture; "" if it can."""
+        return shape.without_uv()
+
+
+class Picture(Texture):
+    """Base of pictures: (h, w, 3) linear `texels` over the unit square of its uv; row 0 begins at v = 0.
+
+    `to_uv` maps (u, v, 0) of the surface to the uv of the picture.
+    """
+
     to_uv: Transform = ()
 
     @cached_property
@@ -44,7 +64,7 @@ class Texture(Description):
         return matrix_of(self.to_uv)[:2, [0, 1, 3]]
 
 
-class Checkerboard(Texture):
+class Checkerboard(Picture):
     """Squares of side 1/2 in uv; the one at uv = 0 has `color0`."""
 
     type: Literal["checkerboard"] = "checkerboard"
@@ -104,7 +124,7 @@ def read_picture(path: str) -> NDArray[np.uint8]:
         raise SceneError(f"{path}: expected a PNG picture that is complete; convert or export it again") from None
 
 
-class Bitmap(Texture):
+class Bitmap(Picture):
     """A picture: a PNG `file` with 8 bits a channel, in sRGB unless `raw`, or `data`, rows of linear [r, g, b]."""
 
     type: Literal["bitmap"] = "bitmap"
@@ -141,6 +161,50 @@ class Bitmap(Texture):
         return None
 
 
+Colors = Annotated[NDArray[np.float64], ArrayOf(Reflectance)]  # (n, 3) float64
+
+
+class MeshColors(Texture):
+    """Colours of the `vertices` of a mesh (n, 3), interpolated on each face, or of its `faces` (m, 3)."""
+
+    type: Literal["mesh_colors"] = "mesh_colors"
+    vertices: Colors | None = None
+    faces: Colors | None = None
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> Self:
+        if (self.vertices is None) == (self.faces is None):
+            raise ValueError(f"needs either vertices or faces, got {'neither' if self.faces is None else 'both'}")
+        return self
+
+    def misfit(self, shape: Shape) -> str:
+        mesh = getattr(shape, "mesh", None)
+        if mesh is None:
+            return f"a {shape.type} has no vertices to be coloured"
+        name = "vertices" if self.faces is None else "faces"
+        given, count = len(getattr(self, name)), len(getattr(mesh(), name))
+        return "" if given == count else f"that has {given} colours, and the mesh {count} {name}"
+
+    def at_corners(self, faces: NDArray[np.int32], k: Any = slice(None)) -> NDArray[np.float64]:
+        """(m, 3, 3): the colours at the corners of the faces k; faces: (n, 3), numbers of vertices, of all."""
+        if self.vertices is None:
+            return np.repeat(np.asarray(self.faces)[k, None], 3, axis=1)
+        return np.asarray(self.vertices)[faces[k]]
+
+    def rows(self, triangles: Any) -> NDArray[np.float64]:
+        """(ROWS_PER_FACE m, 3): of each face a corner, its colour, and the gradients of red, green and blue."""
+        a, b, c = triangles.vertices[triangles.faces].transpose(1, 0, 2)
+        u, v = b - a, c - a
+        uu, uv, vv = dot_rows(u, u), dot_rows(u, v), dot_rows(v, v)
+        area = uu * vv - uv * uv  # squared, of the parallelogram
+        duals = np.stack([vv[:, None] * u - uv[:, None] * v, uu[:, None] * v - uv[:, None] * u])
+        duals /= np.where(area > 0.0, area, np.inf)[:, None]  # gradients of the barycentrics b1, b2
+        colors = self.at_corners(triangles.faces)
+        changes = (colors[:, 1:] - colors[:, :1]).transpose(1, 0, 2)
+        gradients = (changes[..., None] * duals[..., None, :]).sum(axis=0)
+        return np.concatenate([a[:, None], colors[:, :1], gradients], axis=1).reshape(-1, 3)
+
+
 class Png(NamedTuple):
     """A PNG file, and whether its numbers are linear."""
 
@@ -157,28 +221,33 @@ LINEAR_OF_SRGB = np.array([linear_of_srgb(byte / 255.0) for byte in range(256)])
 
 
 if TYPE_CHECKING:
-    AnyReflectance = tuple[float, float, float] | Checkerboard | Bitmap
+    AnyReflectance = tuple[float, float, float] | Checkerboard | Bitmap | MeshColors
 else:
     AnyReflectance = Annotated[
         Annotated[Reflectance, Tag("color")]
         | Annotated[Checkerboard, Tag("checkerboard")]
-        | Annotated[Bitmap, Tag("bitmap")],
+        | Annotated[Bitmap, Tag("bitmap")]
+        | Annotated[MeshColors, Tag("mesh_colors")],
         Discriminator(lambda value: child_of(value, "type") if isinstance(value, (dict, Texture)) else "color"),
     ]
 
 
-def texture_arrays(textures: Sequence[Any]) -> Textures:
-    """The textures of all shapes, or None, as kernels read them; one of several shapes has its texels once."""
+def texture_arrays(textures: Sequence[Any], packed: Packed) -> Textures:
+    """The textures of all shapes, or None, as kernels read them; a picture of several shapes has its texels once."""
     settings, to_texels = np.full((len(textures), 5), NO_TEXTURE), np.zeros((len(textures), 2, 3))
     texels, first, count = [np.zeros((0, 3))], dict[int, int](), 0
     for k, texture in enumerate(textures):
         if texture is None:
             continue
-        height, width, _ = texture.texels.shape
-        if id(texture) not in first:
+        of_mesh = isinstance(texture, MeshColors)
+        if of_mesh or id(texture) not in first:
             first[id(texture)] = count
-            texels.append(texture.texels.reshape(-1, 3))
-            count += height * width
+            texels.append(texture.rows(packed.parts[k]) if of_mesh else texture.texels.reshape(-1, 3))
+            count += len(texels[-1])
+        if of_mesh:
+            settings[k] = OF_MESH, 0, 0, 0, first[id(texture)] - ROWS_PER_FACE * packed.places[packed.first[k]]
+            continue
+        height, width, _ = texture.texels.shape
         settings[k] = FILTERS[texture.filter], WRAPS[texture.wrap], width, height, first[id(texture)]
         to_texels[k] = texture.uv_matrix * [[width], [height]]
         to_texels[k, :, 2] -= 0.5 if texture.filter == "bilinear" else 0.0  # texels have their values at their centres

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from caster.description.errors import SceneError, join_words
-from caster.description.fields import Faces, Points, UVs
+from caster.description.fields import Faces, Flag, Points, UVs
 from caster.geometry import triangle_mesh
 from caster.geometry.mesh_files import load_mesh, load_once, readable
 from caster.geometry.world_space import MeshShape
@@ -30,6 +30,7 @@ class Mesh(MeshShape):
     normals: Points | None = None
     uv: UVs | None = None
     file: Annotated[str | None, readable(load_mesh)] = None  # OBJ, PLY, STL, OFF or glTF
+    flip_normals: Flag = False
 
     if TYPE_CHECKING:
 
@@ -45,6 +46,7 @@ class Mesh(MeshShape):
             material: str = "",
             to_world: Any = (),
             face_normals: bool = False,
+            flip_normals: bool = False,
         ) -> None: ...
 
     else:

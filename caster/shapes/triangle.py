@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator
 
-from caster.description.fields import UnitVec3, Vec2, Vec3, row
+from caster.description.fields import Flag, UnitVec3, Vec2, Vec3, row
 from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import TriangleShape
 
@@ -21,6 +21,7 @@ class Triangle(TriangleShape):
     vertices: Annotated[tuple[Vec3, Vec3, Vec3], BeforeValidator(row(3, "3 points"))]  # scene units
     normals: Annotated[tuple[UnitVec3, UnitVec3, UnitVec3], BeforeValidator(row(3, "3 directions"))] | None = None
     uv: Annotated[tuple[Vec2, Vec2, Vec2], BeforeValidator(row(3, "3 pairs [u, v]"))] | None = None
+    flip_normals: Flag = False
 
     def mesh(self) -> Mesh:
         return Mesh(

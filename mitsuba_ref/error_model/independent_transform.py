@@ -101,16 +101,19 @@ def exactly(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
 
 
 @without_overflow_warnings
-def transformed_normals(matrix: Array, normals: Array) -> tuple[Array, Array]:
-    """(normals (n, 3) in world space, size of their rounding): normals transform like cross products, by cofactors."""
+def transformed_normals(matrix: Array, normals: Array, keeps_lengths: bool = False) -> tuple[Array, Array]:
+    """(normals (n, 3) in world space, size of their rounding): normals transform like cross products, by cofactors.
+
+    They have unit length, or else the longest one has.
+    """
     m = matrix[:3, :3] / np.abs(matrix[:3, :3]).max()
     cofactors = np.stack([np.cross(m[:, i - 2], m[:, i - 1]) for i in range(3)], axis=1)
     cofactors *= np.linalg.slogdet(m)[0]
     turned = np.einsum("jk,ik->ij", cofactors, normals)
     columns = norm(m.T)
     sizes = np.array([columns[i - 2] * columns[i - 1] for i in range(3)])
-    size = np.abs(normals) @ sizes / norm(turned)
-    return unit(turned), size[:, None]
+    length = norm(turned).max(keepdims=True) if keeps_lengths else norm(turned)
+    return turned / length[:, None], (np.abs(normals) @ sizes / length)[:, None]
 
 
 NO_NORMAL = np.array([1.0, 0.0, 0.0])  # Mitsuba's normal of a vertex all of whose faces have no area

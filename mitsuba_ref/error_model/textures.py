@@ -1,4 +1,4 @@
-"""Colours of textures at uv in float64, and what errors of uv make of them (docs/method.md, "Textures").
+"""Colours of textures in float64, and what errors of uv and barycentrics make of them (docs/method.md, "Textures").
 
 An independent implementation: pictures are decoded and looked up again.
 """
@@ -6,25 +6,60 @@ An independent implementation: pictures are decoded and looked up again.
 import os
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
 
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.intersections import Array, largest_of_columns, without_float_warnings
-from mitsuba_ref.error_model.tolerances import KU, SRGB_DECODING_ROUNDINGS, U32
+from mitsuba_ref.error_model.tolerances import BARYCENTRIC_ROUNDINGS, KU, SRGB_DECODING_ROUNDINGS, U32
+
+
+class ColoredPoints(NamedTuple):
+    """What one side says of n hits."""
+
+    shape: Array  # (n,), -1 on a miss
+    prim: Array  # (n,), within the shape
+    uv: Array  # (n, 2)
+    p: Array  # (n, 3)
+    colors: Array  # (n, 3), reflectances
 
 
 @without_float_warnings
-def color_ratios(textures: Sequence[Any], shape: Array, uv: Array, colors: Array, ku: float) -> Array:
-    """(n,) error over bound of reflectances (n, 3) that one side computed at its own uv (n, 2); 0 without a texture."""
-    ratios = np.zeros(len(shape))
+def color_ratios(textures: Sequence[Any], parts: Sequence[Any], at: ColoredPoints, ku: float) -> Array:
+    """(n,) error over bound of reflectances that one side computed at its own uv or p; 0 without a texture.
+
+    parts: the packed arrays of each shape.
+    """
+    ratios = np.zeros(len(at.shape))
     for k, texture in enumerate(textures):
-        rows = np.flatnonzero(shape == k) if texture is not None else ()
+        rows = np.flatnonzero(at.shape == k) if texture is not None else ()
         if len(rows):
-            ratios[rows] = _ratio(texture, uv[rows], colors[rows], ku)
+            here = ColoredPoints(*(each[rows] for each in at))
+            of_mesh = texture.type == "mesh_colors"
+            ratios[rows] = _mesh_ratio(texture, parts[k], here, ku) if of_mesh else _ratio(texture, *here[2::2], ku)
     return ratios
+
+
+def _mesh_ratio(texture: Any, part: Any, at: ColoredPoints, ku: float) -> Array:
+    """As color_ratios, of colours of a mesh; formulas (24) to (26)."""
+    faces = part.faces[at.prim]
+    a, b, c = part.vertices[faces].transpose(1, 0, 2)
+    colors = np.asarray(texture.vertices)[faces] if texture.faces is None else np.asarray(texture.faces)[at.prim, None]
+    first, second, third = np.broadcast_to(colors, (len(faces), 3, 3)).transpose(1, 0, 2)
+    u, v, x = b - a, c - a, at.p - a
+    (uu, uv, vv), (ux, vx) = (((u * u).sum(1), (u * v).sum(1), (v * v).sum(1)), ((u * x).sum(1), (v * x).sum(1)))
+    area, most = uu * vv - uv * uv, uu * vv + uv * uv
+    b1, b2 = ((vv * ux - uv * vx) / area)[:, None], ((uu * vx - uv * ux) / area)[:, None]
+    unit = BARYCENTRIC_ROUNDINGS * ku * most / area * np.sqrt((x * x).sum(1)) / area
+    off1 = (unit * (vv * np.sqrt(uu) + np.abs(uv) * np.sqrt(vv)))[:, None]
+    off2 = (unit * (uu * np.sqrt(vv) + np.abs(uv) * np.sqrt(uu)))[:, None]
+    change = off1 * np.abs(second - first) + off2 * np.abs(third - first)
+    rounding = 6.0 * ku * ((1.0 + np.abs(b1) + np.abs(b2)) * first + np.abs(b1) * second + np.abs(b2) * third)
+    bound = np.where((BARYCENTRIC_ROUNDINGS * ku * most < 0.5 * area)[:, None], change + rounding, np.inf)
+    expected = first + b1 * (second - first) + b2 * (third - first)
+    return largest_of_columns(error_over_bound(np.abs(at.colors - expected), bound))
 
 
 def _ratio(texture: Any, uv: Array, colors: Array, ku: float) -> Array:

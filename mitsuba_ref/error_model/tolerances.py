@@ -27,6 +27,11 @@ KU_OURS = 2.0 * K * 2.0**-53
 # of its value; half as many more for processors with other fused operations.
 SRGB_DECODING_ROUNDINGS = 63.0
 
+# Barycentrics by Cramer's rule from the edges u, v and x = p - a: 5 roundings each of the products u u, u v, v v, u x,
+# v x (two differences of numbers that are given, a product, two sums), 12 of the numerator, 12 of the determinant, a
+# division or an approximate reciprocal with 2: 26 u, or 6.5 K u.
+BARYCENTRIC_ROUNDINGS = 7.0
+
 # If the signs of group means are random, |z| >= x has a probability of at most 2 exp(-x^2 / 2), however many groups
 # there are and however large (Hoeffding): 7.5e-6 for x = 5. |z| is at most the square root of the number of groups.
 LARGEST_Z = 5.0

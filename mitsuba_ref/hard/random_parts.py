@@ -182,6 +182,15 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
             materials[shape["material"]] = {"reflectance": _texture(more)}
         if shape["type"] in ("sphere", "cylinder"):
             shape |= _sometimes(more, {"flip_normals": True})
+    more = rng.spawn(1)[0]
+    for i, shape in enumerate(scene["shape"]):
+        if shape["type"] in ("triangle", "mesh"):
+            shape |= _sometimes(more, {"flip_normals": True}, 0.2)
+        if "vertices" in shape and more.random() < TEXTURED_SHAPES:
+            shape["material"] = f"colors-{i}"
+            of = "faces" if "faces" in shape and coin_flip(more) else "vertices"
+            colors = {"type": "mesh_colors", of: more.random((len(shape[of]), 3))}
+            materials[shape["material"]] = {"reflectance": colors, "two_sided": coin_flip(more)}
     return scene
 
 

@@ -26,7 +26,7 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.textures import color_ratios
+from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -274,7 +274,8 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
     untextured = ~(hit & np.array([*(texture is not None for texture in textures), False])[shape])
     found["diffuse"] |= untextured & any_of_columns(albedo != expected)
     if any(textures):
-        found["diffuse"] |= color_ratios(textures, shape, aov_rows(subject, "uv"), albedo, KU_OURS) > 1.0
+        at = ColoredPoints(shape, prim_id, *(aov_rows(subject, name) for name in ("uv", "position", "albedo")))
+        found["diffuse"] |= color_ratios(textures, packed.parts, at, KU_OURS) > 1.0
     return found
 
 

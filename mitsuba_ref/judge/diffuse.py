@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.lambert import (
     certain_lights,
     smallest_error_ratio,
 )
-from mitsuba_ref.error_model.textures import color_ratios
+from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.comparison import ImagePair
 
@@ -50,8 +50,9 @@ def judge_diffuse(
     textures, reference_ratio = scene.textures, np.zeros(count)
     if any(textures):
         answer = pair.result.answer
-        seen = textures, pair.result.shape_id[rows], answer.uv[rows].astype(np.float64), answer.albedo[rows]
-        reference_ratio[rows] = color_ratios(*seen, KU)
+        p, uv = (each[rows].astype(np.float64) for each in (answer.p, answer.uv))
+        at = ColoredPoints(pair.result.shape_id[rows], answer.prim[rows], uv, p, answer.albedo[rows])
+        reference_ratio[rows] = color_ratios(textures, brackets[0].model.packed.parts, at, KU)
         pair = _for_our_albedo(scene, pair, rows, lights)
     ratio[rows] = _ratio(pair, rows, certain_lights(*_as_given(pair, lights, rows)))
     ratio = np.maximum(ratio, reference_ratio)

@@ -30,6 +30,7 @@ HELD = {
     "LinearCurve": "linear_curve",
     "Ellipsoids": "ellipsoids",
 }
+MESH_COLORS = {"vertex_color": "vertices", "face_color": "faces"}  # attribute -> field of the caster's mesh_colors
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
 VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)
 ROBUST = "embree_use_robust_intersections"
@@ -217,6 +218,9 @@ def texture(parsed: Parsed, number: int) -> dict[str, Any] | None:
     if plugin == "checkerboard":
         colors = {name: color(props, name, default) for name, default in CHECKERBOARD.items()}
         found = colors if all(colors.values()) else None
+    elif plugin == "mesh_attribute" and (name := props["name"]) in MESH_COLORS and props.get("scale", 1.0) == 1.0:
+        parsed.textures[number] = {"type": "mesh_colors", "attribute": name, "of": MESH_COLORS[name]}
+        return parsed.textures[number]
     elif plugin == "bitmap" and _is_picture(_path(props)):
         found = {"filter": props.get("filter_type", "bilinear"), "wrap": props.get("wrap_mode", "repeat")}
     if props.has_property("to_uv"):  # of which Mitsuba, too, takes no more than u and v
@@ -285,9 +289,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
             record, rows, triangles = _shape(loaded[str(i)])
             sizes = {"numbers": rows.size, "columns": rows.shape[1], "faces": len(triangles)}
             about = {"plugin": props.plugin_name(), "place": parsed.place(i)}
-            for bsdf in parsed.children(i, kind.BSDF):
-                _add_texels(parsed, bsdf, loaded[str(i)], texels)
-            shapes.append(record | sizes | about | _material_of(parsed, i))
+            shapes.append(record | sizes | about | _material_of(parsed, i, loaded[str(i)], texels))
             numbers.append(rows.ravel())
             faces.append(triangles)
     paths = [path for _, _, path in _files(parsed, kind.Shape, kind.Texture)]
@@ -322,27 +324,38 @@ def _view_of_all(scene: Any, size: Sequence[int] | None) -> Any:
     return mi.load_dict({"type": "perspective", "fov": VIEW_FOV, "to_world": to_world, "film": film, **planes})
 
 
-def _add_texels(parsed: Parsed, bsdf: int, shape: Any, texels: list[Array]) -> None:
-    """Add the texels of a material's bitmap (n, 3) and their place among all; without colours it has no material."""
-    picture = (parsed.materials[bsdf] or {}).get("reflectance")
-    if not isinstance(picture, dict) or picture["type"] != "bitmap" or "texels" in picture:
-        return
-    (data,) = (value for name, value in mi.traverse(shape.bsdf()) if name.endswith("reflectance.data"))
-    found = np.array(data, np.float32)
-    first = sum(map(len, texels))
-    if found.size and found.min() >= 0.0 and found.max() <= 1.0 and first + found[..., 0].size <= MAX_TEXELS:
-        picture["texels"] = [first, *found.shape[:2]]
-        texels.append(np.broadcast_to(found, (*found.shape[:2], 3)).reshape(-1, 3))
-    else:
-        parsed.materials[bsdf] = None
-        parsed.unlit.append(f"texels that are not from 0 to 1, or too many, in the bitmap of {parsed.place(bsdf)}")
-
-
-def _material_of(parsed: Parsed, number: int) -> dict[str, Any]:
+def _material_of(parsed: Parsed, number: int, shape: Any, texels: list[Array]) -> dict[str, Any]:
     """The material of a shape, None where it is not the caster's, and its name, "" for the default."""
     for bsdf in parsed.children(number, mi.ObjectType.BSDF):
-        return {"material": parsed.materials[bsdf], "material_name": parsed.names[bsdf] or f"material-{bsdf}"}
+        found, name = parsed.materials[bsdf] or {}, parsed.names[bsdf] or f"material-{bsdf}"
+        texture = found.get("reflectance")
+        if isinstance(texture, dict) and texture["type"] != "checkerboard" and "texels" not in texture:
+            of_mesh = texture["type"] == "mesh_colors"
+            loaded = mi.traverse(shape if of_mesh else shape.bsdf())
+            place = _add_texels(loaded, texture.get("attribute", "reflectance.data"), texels)
+            if place is None:
+                found = {}
+                parsed.materials[bsdf] = None
+                parsed.unlit.append(f"colours that are missing, not from 0 to 1, or too many, in {parsed.place(bsdf)}")
+            elif of_mesh:  # each mesh has its own
+                found, name = found | {"reflectance": {**texture, "texels": place}}, f"{name} of shape {number}"
+            else:
+                texture["texels"] = place
+        return {"material": found or None, "material_name": name}
     return {"material": None, "material_name": ""}
+
+
+def _add_texels(loaded: Any, ending: str, texels: list[Array]) -> list[int] | None:
+    """Add the colours (n, 3) of the parameter with this ending: the first one, height and width; None if unusable."""
+    for name, value in loaded:
+        if name.endswith(ending):
+            data = np.array(value, np.float32)
+            rows = data.reshape(-1, 1, 3) if data.ndim == 1 else data
+            first, (height, width) = sum(map(len, texels)), rows.shape[:2]
+            if data.size and data.min() >= 0.0 and data.max() <= 1.0 and first + height * width <= MAX_TEXELS:
+                texels.append(np.broadcast_to(rows, (height, width, 3)).reshape(-1, 3))
+                return [first, height, width]
+    return None
 
 
 def _is(props: Any, plugin: str) -> bool:

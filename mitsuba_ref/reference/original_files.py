@@ -6,7 +6,7 @@ The file stays the reference (originals.py). `mitsuba-ref import` writes the sam
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.description.fields import Shape
 from caster.description.input_files import read_input
 from caster.description.transform import cross, inverse, is_mirrored, product, row_lengths, unit
+from caster.geometry.packing import Triangles
+from caster.geometry.world_space import Rounding
 from caster.scene.model import Film, Scene
 from caster.shapes import Cylinder, Disk, EllipsoidCloud, LinearCurve, Mesh, Sphere
 from caster.system.process import NOTHING_SELECTED
@@ -104,7 +106,7 @@ def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str], list[s
             if triangles + record["faces"] > MAX_TRIANGLES:
                 raise SceneError(f"{MAX_TRIANGLES:,} triangles are the most that a scene may have")
             shape = _shape(record, numbers[number], faces[number], matrix, fields)
-            if isinstance((record["material"] or {}).get("reflectance"), dict) and (reason := shape.without_uv()):
+            if reason := _textureless(record, shape, matrix):
                 unlit.append(f"the texture of {record['plugin']} {name!r} at {record['place']}: {reason}")
                 shape = _shape(record, numbers[number], faces[number], matrix, {"name": name})
         except SceneError as reason:
@@ -115,6 +117,16 @@ def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str], list[s
         names.add(name)
         judged.append((shape, key, 0.0 if matrix is None else _condition(np.array(matrix)[:3, :3])))
     return judged, left_out, unlit
+
+
+def _textureless(record: Mapping[str, Any], shape: Shape, instance: Any) -> str:
+    """Why a shape cannot have the texture of its material; "" if it can or there is none."""
+    texture = (record["material"] or {}).get("reflectance")
+    if not isinstance(texture, dict):
+        return ""
+    if texture["type"] != "mesh_colors":
+        return shape.without_uv()
+    return "Mitsuba interpolates colours of an instance elsewhere" if instance is not None else ""
 
 
 def _pieces(found: OpenResponse, name: str) -> list[Array]:
@@ -177,12 +189,14 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
 
 
 def _with_texels(material: Mapping[str, Any], found: OpenResponse) -> Mapping[str, Any]:
-    """A material with the texels of its bitmap, if it has one."""
+    """A material with the texels of its bitmap, or the colours of its mesh, if it has them."""
     picture = material.get("reflectance")
     if not isinstance(picture, Mapping) or "texels" not in picture:
         return material
     first, height, width = picture["texels"]
     data = found.texels[first : first + height * width].reshape(height, width, 3)
+    if picture["type"] == "mesh_colors":
+        return {**material, "reflectance": {"type": "mesh_colors", picture["of"]: data[:, 0]}}
     rest = {name: value for name, value in picture.items() if name != "texels"}
     return {**material, "reflectance": rest | {"data": data}}
 
@@ -218,6 +232,19 @@ def _distinct(label: str, otherwise: str, taken: set[str]) -> str:
 SIMILARITY_RTOL = 8 * 2.0**-24
 
 
+class MeshOfInstance(Mesh):
+    """A mesh under the matrix of an instance: Mitsuba interpolates its vertex normals before it transforms them."""
+
+    keeps_lengths: ClassVar[bool] = True  # which the matrix gives to normals, up to a common factor
+
+    def pack(self, rounded: Rounding) -> Triangles:
+        part, normals = super().pack(rounded), self.mesh().normals
+        if normals is None:
+            return part
+        turned = product(normals, inverse(self.matrix[:3, :3]))
+        return part._replace(normals=rounded(turned / row_lengths(turned).max()))
+
+
 def _shape(record: Mapping[str, Any], numbers: Array, faces: Array, instance: Any, named: Any) -> Shape:
     """A shape of the caster. instance: its matrix, or None. named: more fields. Raises SceneError with the reason."""
     outer = np.eye(4) if instance is None else np.array(instance)
@@ -225,14 +252,16 @@ def _shape(record: Mapping[str, Any], numbers: Array, faces: Array, instance: An
         raise SceneError(f"the caster has no {record['plugin']}")
     rows, flipped = numbers.reshape(-1, record["columns"]).astype(np.float64), record["flipped"]
     if kind == "mesh":
+        mirrored = is_mirrored(outer)  # ours has the corners in another order then, and so other barycentrics
         fields: dict[str, Any] = {
             "vertices": rows[:, :3],
-            "faces": faces[:, [0, 2, 1]] if flipped else faces,
-            "normals": (-1.0 if flipped else 1.0) * rows[:, 3:6] if record["smooth"] else None,
+            "faces": faces[:, [0, 2, 1]] if mirrored else faces,
+            "normals": (-1.0 if mirrored else 1.0) * rows[:, 3:6] if record["smooth"] else None,
             "uv": rows[:, 6:8] if record["textured"] else None,
             "face_normals": not record["smooth"],
+            "flip_normals": flipped != mirrored,
         }
-        return Mesh(**fields, **_placed(outer), **named)
+        return (Mesh if instance is None else MeshOfInstance)(**fields, **_placed(outer), **named)
     if kind in ("linear_curve", "ellipsoids") and instance is not None:
         raise SceneError(f"Mitsuba places hits on {record['plugin']} in an instance elsewhere")
     if kind == "linear_curve":

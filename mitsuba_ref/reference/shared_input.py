@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Comment, Element, fromstring, indent, tostring
+from xml.etree.ElementTree import Comment, Element, SubElement, fromstring, indent, tostring
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from caster.geometry.packing import Packed, concatenate_parts, packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
 from caster.scene.model import Material, Scene
-from caster.scene.textures import Bitmap, Texture
+from caster.scene.textures import Bitmap, MeshColors
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.intersections import Array, ceil_log2
@@ -185,7 +185,9 @@ def export_scene(scene: Scene) -> SceneExport:
 
 def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
     """XML and meshes of packed geometry. robust: use Embree's mode that keeps meshes closed."""
-    out = ShapeWriter(lambda shape: bsdf_element(scene.material_of(shape), out.meshes))
+    out = ShapeWriter(
+        lambda shape: bsdf_element(scene.material_of(shape), out.meshes), lambda shape: scene.material_of(shape).texture
+    )
     shapes = []
     for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
         out.name = name
@@ -287,8 +289,13 @@ BITMAP = """<texture type="bitmap" name="reflectance">
 </texture>"""
 
 
-def texture_element(texture: Texture, files: dict[str, bytes]) -> XmlElement:
+def texture_element(texture: Any, files: dict[str, bytes]) -> XmlElement:
     """A texture. A PNG file is handed over as it is, an array as a PFM file of float32 values."""
+    if isinstance(texture, MeshColors):  # they are in the PLY file
+        colors: XmlElement = Element("texture", type="mesh_attribute", name="reflectance")
+        name = "face_color" if texture.vertices is None else "vertex_color"
+        SubElement(colors, "string", name="name", value=name)
+        return colors
     if isinstance(texture, Bitmap):
         content, suffix, raw = _picture(texture)
         file = f"textures/{hashlib.sha256(content).hexdigest()[:16]}{suffix}"

@@ -12,7 +12,8 @@ from caster.cameras.single_ray import Ray
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.scene.model import Scene
+from caster.scene.model import Material, Scene
+from caster.scene.textures import MeshColors
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
@@ -43,19 +44,22 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Ite
     if rays.t_max[row] < 0.0:
         raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
     shapes: list[dict[str, Any]] = []
+    materials: dict[str, Any] = {}
     notes: list[str] = []
     for prim in sorted(involved_prims(judge, row, lit)):
         shape, note = shape_of(judge, prim)
+        if shape.get("material"):
+            shape["material"], material = material_of(judge, prim, shape)
+            materials[shape["material"]] = material
         if shape not in shapes:
             shapes.append(shape)
         notes += note
-    used = {shape["material"] for shape in shapes if shape.get("material")}
     ray = scene_of_ray(scene, rays.o[row], rays.d[row], float(rays.t_max[row]))
     parts: dict[str, Any] = {
         "film": ray.film,
         "camera": ray.camera,
         "lights": scene.lights if lit else (),
-        "materials": {name: scene.materials[name] for name in scene.materials if name in used},
+        "materials": materials,
         "shapes": shapes,
         "shading": scene.shading,
         "checks": scene.checks,
@@ -104,6 +108,17 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     if note := reference_of(whole).stand_in_note:
         notes.append(f"note: {note}")
     return shape | {"name": name, **kept_fields(whole)}, notes
+
+
+def material_of(judge: Judge, prim: int, shape: dict[str, Any]) -> tuple[str, Material]:
+    """(name, material) of the description of one primitive; with the colours of its corners, if its mesh has them."""
+    name = shape["material"]
+    material, packed = judge.scene.materials[name], judge.model.packed
+    if not isinstance(material.texture, MeshColors) or shape["type"] != "triangle":
+        return name, material
+    i = int(packed.shape_of(np.array([prim]))[0])
+    colors = MeshColors(vertices=material.texture.at_corners(packed.parts[i].faces, [prim - packed.first[i]])[0])
+    return f"{name}, prim {prim}", material.model_copy(update={"reflectance": colors})
 
 
 def pack_one(shape: dict[str, Any]) -> Packed:

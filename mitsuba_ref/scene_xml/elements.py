@@ -41,19 +41,26 @@ def shape_and_part(shape_id: str) -> tuple[str, int]:
     return (name, int(part)) if brace and shape_id[-1] == "}" and part.isdecimal() else (shape_id, -1)
 
 
-def ply_bytes(part: Any) -> bytes:
-    """Binary PLY file of packed triangles: vertices, with normals and uv if they are used.
+def ply_bytes(part: Any, texture: Any = None) -> bytes:
+    """Binary PLY file of packed triangles: vertices, with normals and uv if they are used, and colours of a texture.
 
     part: the caster's Triangles with float32 values, which are not rounded again.
     """
+    of_vertices, of_faces = (getattr(texture, name, None) for name in ("vertices", "faces"))
     columns = {name: part.vertices[:, c] for c, name in enumerate("xyz")}
     if part.smooth.any():
         columns |= {f"n{name}": part.normals[:, c] for c, name in enumerate("xyz")}
     if part.textured.any():
         columns |= {name: part.uv[:, c] for c, name in enumerate("uv")}
-    faces = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    if of_vertices is not None:
+        columns |= {name: np.asarray(of_vertices)[:, c] for c, name in enumerate("rgb")}
+    rgb = [] if of_faces is None else [("colors", "<f4", 3)]
+    faces = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3), *rgb])
     faces["count"], faces["corners"] = 3, part.faces
     more = f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+    if of_faces is not None:
+        faces["colors"] = of_faces
+        more += "".join(f"property float {name}\n" for name in "rgb")
     return float_columns(columns, more) + faces.tobytes()
 
 
@@ -77,6 +84,7 @@ class ShapeWriter:
     """Writer of the scene's shapes: makes elements and collects the files that they name."""
 
     material: Callable[[Shape], XmlElement]  # makes the <bsdf> of a shape
+    texture: Callable[[Shape], Any]  # of a shape, or None
     name: str = ""  # id of the current shape
     meshes: dict[str, bytes] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -126,12 +134,12 @@ class ShapeWriter:
 
     def mesh(self, shape: Shape, part: Any) -> XmlElement:
         """Triangles as a PLY file in world space."""
-        file = self.file("ply", ply_bytes(part))
+        file = self.file("ply", ply_bytes(part, self.texture(shape)))
         element = Element("shape", type="ply", id=self.name)
         SubElement(element, "string", name="filename", value=file)
         if not part.smooth.any():
             SubElement(element, "boolean", name="face_normals", value="true")
-        element.append(self.material(shape))
+        element.extend([self.material(shape), *_flips(shape)])
         return element
 
 

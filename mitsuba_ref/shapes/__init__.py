@@ -39,9 +39,10 @@ def kind_of(part: Any) -> PrimitiveReference:
 
 def reference_of(shape: Shape) -> ShapeReference:
     """The entry of a shape. Raises MissingReferenceError, saying what to write, if there is none."""
-    if type(shape) not in REFERENCES:
-        raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
-    return REFERENCES[type(shape)]
+    for described in type(shape).__mro__:
+        if described in REFERENCES:
+            return REFERENCES[described]
+    raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
 
 
 for _reference in (

@@ -208,7 +208,8 @@ def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     smooth = not getattr(shape, "face_normals", given.normals is None)
     yield exactly("smooth", part.smooth, np.full(len(given.faces), smooth))
     if smooth and given.normals is not None:
-        yield ExpectedNumbers("normals", part.normals, *transformed_normals(shape.matrix, given.normals))
+        keeps_lengths = getattr(shape, "keeps_lengths", False)
+        yield ExpectedNumbers("normals", part.normals, *transformed_normals(shape.matrix, given.normals, keeps_lengths))
     elif smooth:
         yield ExpectedNumbers("generated normals", part.normals, *angle_weighted_normals(part.vertices, part.faces))
 

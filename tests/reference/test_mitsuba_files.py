@@ -83,12 +83,73 @@ def test_textures_are_compared_where_their_files_are(folder, capsys, monkeypatch
         assert re.search(r"diffuse is not compared: cannot read swatch.png of texture bitmap at \S+:1:\d+", said)
 
 
+PAINT = '<texture type="mesh_attribute" name="reflectance"><string name="name" value="{}_color"/></texture>'
+PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+property float r
+property float g
+property float b
+element face 2
+property list uchar int vertex_indices
+property float r
+property float g
+property float b
+end_header
+-1 -1 0 0.9 0.1 0
+1 -1 0.3 0.2 1 0.3
+1 1 0 0 0 0
+-1 1 0.2 1 1 1
+3 0 1 2 0.9 0.5 0.1
+3 0 2 3 0.1 0.7 0.2
+"""
+
+
+@pytest.mark.parametrize("of", ["vertex", "face"])
+def test_colours_of_meshes_are_compared_and_imported(of, folder, monkeypatch):
+    """Two meshes with one material, each with colours of its own; normals of one are reversed."""
+    monkeypatch.chdir(folder)
+    (folder / "a.ply").write_text(PLY)
+    (folder / "b.ply").write_text(PLY.replace("0.9", "0.4"))
+    mesh = '<shape type="ply"><string name="filename" value="{}.ply"/><ref id="m"/>{}</shape>'
+    turned = '<boolean name="flip_normals" value="true"/><transform name="to_world"><translate x="1.5"/></transform>'
+    content = WITHIN.format("m", PAINT.format(of)) + mesh.format("a", "") + mesh.format("b", turned)
+    path = written(folder, SENSOR + LAMP + content)
+    scene = mitsuba_ref.validate(path, size=(36, 24)).scenes[0]
+    assert scene.ok and "diffuse" in scene.ratios and not scene.coverage.lines()
+    assert len(np.unique(scene.images["ours"]["albedo"].reshape(-1, 3), axis=0)) >= (100 if of == "vertex" else 4)
+    assert main(["import", path, "-o", "out.toml", "--size", "36", "24"]) == 0
+    again = mitsuba_ref.validate("out.toml").scenes[0]
+    assert again.ok and again.counts["agree"] == scene.counts["agree"] and "diffuse" in again.ratios
+
+
+@pytest.mark.parametrize("placed", ["<scale x='-1' y='1.2'/>", "<scale value='1'/>"], ids=["mirrored", "plain"])
+@pytest.mark.parametrize("flipped", ["true", "false"])
+def test_meshes_of_instances_have_mitsubas_barycentrics_and_normals(placed, flipped, folder):
+    """Corners have the order of the file, whatever turns the normal over; normals are interpolated, then transformed.
+
+    Colours are not compared there.
+    """
+    (folder / "a.ply").write_text(PLY)
+    inner = f'<boolean name="flip_normals" value="{flipped}"/>{WITHIN.format("m", PAINT.format("vertex"))}'
+    mesh = f'<shape type="ply" id="a"><string name="filename" value="a.ply"/>{inner}</shape>'
+    group = f'<shape type="shapegroup" id="g">{mesh}</shape>'
+    instance = f'<shape type="instance"><ref id="g"/><transform name="to_world">{placed}</transform></shape>'
+    scene = mitsuba_ref.validate(written(folder, SENSOR + LAMP + group + instance), size=(36, 24)).scenes[0]
+    assert scene.ok and scene.counts["agree"] > 300 and not scene.counts["reference_wrong"]
+    assert "of an instance" in scene.coverage.unlit[0]
+
+
 @pytest.mark.parametrize(
     ("parts", "reason"),
     [
         (f"{BOARD.replace('<rgb', PICTURE.replace('reflectance', 'color1') + '<rgb')}", "texture checkerboard"),
         (BOARD.replace("</", '<transform name="to_uv"><scale x="0"/></transform></'), "texture checkerboard"),
-        ('<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>', "mesh_"),
+        (PAINT.format("vertex").replace("_color", "_heat"), "mesh_attribute"),
+        (PAINT.format("vertex"), "colours that are missing"),
     ],
 )
 def test_a_texture_that_the_caster_has_not_is_a_reason_not_to_compare_diffuse(folder, parts, reason):

@@ -13,13 +13,15 @@ from PIL import Image
 import caster
 from caster.description.errors import SceneError
 from caster.kernels.surface import texturing
+from caster.kernels.surface.texturing import ROWS_PER_FACE
 from caster.rendering import shading
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Scene
-from caster.scene.textures import FILTERS, WRAPS, Bitmap, Checkerboard, texture_arrays
+from caster.scene.textures import FILTERS, WRAPS, Bitmap, Checkerboard, MeshColors, texture_arrays
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.reference import shared_input
+from mitsuba_ref.report.reproducers import reproducer
 
 SWATCH = "scenes/pictures/swatch.png"
 SMALL = {"scale": [2.6, 2.2, 1]}, {"translate": [-0.4, -0.7, 0]}
@@ -57,14 +59,96 @@ def test_every_pixel_agrees(texture, variant, monkeypatch):
     assert len(np.unique(aov_rows(judge.pair.subject, "albedo"), axis=0)) > 1
 
 
+CORNERS = np.array([[-1, -1, 0], [1, -1, 0.2], [1, 1, 0], [-1, 1, 0.1]])
+FACES = [[0, 1, 2], [0, 2, 3]]
+COLORS = [[0.9, 0.1, 0], [0.2, 1, 0.3], [0, 0, 0], [1, 1, 1]]
+
+
+@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])
+@pytest.mark.parametrize("colors", [MeshColors(vertices=COLORS), MeshColors(faces=COLORS[:2])])
+@pytest.mark.parametrize("uv", [None, CORNERS[:, :2] * 3.0], ids=["", "uv"])
+def test_colours_of_meshes_agree_at_every_pixel(colors, uv, variant, monkeypatch):
+    """Of a mirrored mesh with reversed normals, whose primitives are not the scene's first."""
+    monkeypatch.setenv("MITSUBA_REF_VARIANT", variant)
+    ball = caster.Sphere(radius=0.2)
+    mesh = {"material": "m", "flip_normals": True, "to_world": [{"scale": [-1.5, 1.5, 1.5]}]}
+    judge = scene_judge(wall(colors).model_copy(update={"shapes": (ball, caster.Mesh(CORNERS, FACES, uv=uv, **mesh))}))
+    found = judge.judge()
+    assert found.is_class("agree", "explained").all() and found.is_class("agree").mean() > 0.98
+    albedo, prim = (aov_rows(judge.pair.subject, name) for name in ("albedo", "prim_id"))
+    assert len(np.unique(albedo, axis=0)) > (100 if colors.faces is None else 2)
+    if colors.faces is not None:
+        seen = aov_rows(judge.pair.subject, "shape_id") == 1
+        assert np.array_equal(albedo[seen], np.array(COLORS)[prim[seen]])
+
+
+@pytest.mark.parametrize("needle", [1e-3, 1e-5])
+def test_colours_of_slivers_have_bounds_that_follow_mitsubas_barycentrics(needle):
+    """Gradients of a thin face are large; Mitsuba solves for the barycentrics with the square of its slenderness."""
+    thin = CORNERS * [1.0, needle, 1.0]
+    scene = wall(MeshColors(vertices=COLORS)).model_copy(
+        update={
+            "shapes": (caster.Mesh(thin, FACES, material="m"),),
+            "camera": caster.Orthographic(eye=(0, 0, 4), look_at=(0, 0, 0), width=2.5 * needle),
+        }
+    )
+    found = scene_judge(scene).judge()
+    assert found.is_class("agree", "explained").all()
+
+
+def of_other_vertices(textures: Any, packed: Any) -> Any:
+    """Colours in another order."""
+    return texture_arrays([MeshColors(vertices=np.roll(texture.vertices, 1, axis=0)) for texture in textures], packed)
+
+
+def from_the_wrong_corner(textures: Any, packed: Any) -> Any:
+    """Interpolated from a thousandth of an edge beside the corner."""
+    made = texture_arrays(textures, packed)
+    made.texels[::ROWS_PER_FACE] += 0.001
+    return made
+
+
+@pytest.mark.parametrize("change", [of_other_vertices, from_the_wrong_corner])
+def test_a_mistake_in_colours_of_meshes_is_found(change, monkeypatch):
+    monkeypatch.setattr(shading, "texture_arrays", change)
+    scene = wall(MeshColors(vertices=COLORS)).model_copy(
+        update={"shapes": (caster.Mesh(2.0 * CORNERS, FACES, material="m"),)}
+    )
+    judge = scene_judge(scene)
+    judgement = judge.judge()
+    assert judgement.is_class("undecided", "wrong").mean() > 0.9
+    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement).causes)
+    small, _ = reproducer(judge, int(np.flatnonzero(judgement.is_class("undecided", "wrong"))[0]), lit=True)
+    assert [len(each.reflectance.vertices) for each in small.materials.values()] == [3]
+
+
+@pytest.mark.parametrize(
+    ("fields", "shape", "expected"),
+    [
+        ({}, caster.Cube(material="m"), "needs either vertices or faces, got neither"),
+        ({"vertices": COLORS, "faces": COLORS}, caster.Cube(material="m"), "needs either vertices or faces, got both"),
+        ({"faces": COLORS}, caster.Cube(material="m"), "has 4 colours, and the mesh 12 faces"),
+        ({"faces": COLORS}, caster.Sphere(material="m"), "a sphere has no vertices to be coloured"),
+        ({"vertices": [[0, 2, 0]]}, caster.Cube(material="m"), "2"),
+    ],
+)
+def test_colours_that_fit_no_mesh(fields, shape, expected):
+    with pytest.raises(SceneError, match=expected):
+        Scene(
+            camera=caster.Pinhole(eye=(0, 0, 4), look_at=(0, 0, 0)),
+            shapes=[shape],
+            materials={"m": {"reflectance": {"type": "mesh_colors", **fields}}},
+        )
+
+
 def arrays_with(**changes: Any) -> Any:
     """`texture_arrays` of textures that are changed in our caster alone."""
-    return lambda textures: texture_arrays([texture.model_copy(update=changes) for texture in textures])
+    return lambda textures, packed: texture_arrays([texture.model_copy(update=changes) for texture in textures], packed)
 
 
-def shifted(textures: Any) -> Any:
+def shifted(textures: Any, packed: Any) -> Any:
     """A thousandth of a texel to the left."""
-    made = texture_arrays(textures)
+    made = texture_arrays(textures, packed)
     made.to_texels[:, 0, 2] += 0.001
     return made
 
@@ -102,7 +186,7 @@ def test_a_shift_by_a_thousandth_of_a_texel_in_mitsubas_scene_is_found(monkeypat
 
 def test_lookups_compiled_and_at_numbers_beyond_any_picture():
     """Whole numbers in place of infinite ones; cells begin at their upper left corner."""
-    made = texture_arrays([Checkerboard(color0=(0, 0, 0), color1=(1, 1, 1))])
+    made = texture_arrays([Checkerboard(color0=(0, 0, 0), color1=(1, 1, 1))], None)
     at = [texturing.color_at(made, 0, u, v)[0] for u, v in ((0, 0), (0.5, 0), (0.75, 0.75), (-1e-9, 0), (1e300, 0))]
     assert at[:4] == [0.0, 1.0, 0.0, 1.0] and at[4] in (0.0, 1.0)
 

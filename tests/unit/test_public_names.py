@@ -23,7 +23,7 @@ RECITED = {
     "read_exr",
     "write_exr",
 }
-DESCRIPTIONS = {"Film", "Diffuse", "Mirror", "Glass", "Checkerboard", "Bitmap", "Shading", "Check"}
+DESCRIPTIONS = {"Film", "Diffuse", "Mirror", "Glass", "Checkerboard", "Bitmap", "MeshColors", "Shading", "Check"}
 REGISTERED = {entry.__name__: entry for entry in (*SHAPES, *CAMERAS, *LIGHTS)}
 
 

@@ -5,32 +5,46 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import jit
-from caster.kernels.math.vec import add, row, scaled
+from caster.kernels.math.vec import add, dot, row, scaled, sub
 from caster.kernels.protocol import Vec3
-from caster.kernels.raster.tile import ONE, PRIM, WIDTH, Box, lane, put
-from caster.kernels.surface.per_hit import ALBEDO, UV
+from caster.kernels.raster.tile import ONE, PRIM, WIDTH, Box, get, lane, put
+from caster.kernels.surface.per_hit import ALBEDO, UV, P
 
-NO_TEXTURE, NEAREST, BILINEAR = range(3)
+NO_TEXTURE, NEAREST, BILINEAR, OF_MESH = range(4)
 REPEAT, MIRROR, CLAMP = range(3)
+ROWS_PER_FACE = 5  # of colours of a mesh: a corner, its colour, the gradients of red, green and blue
 
 
 class Textures(NamedTuple):
     """The textures of all shapes."""
 
-    settings: np.ndarray  # (shapes, 5) int64: filter, wrap, width, height, the first texel
+    settings: np.ndarray  # (shapes, 5) int64: filter, wrap, width, height, the first texel or row of primitive 0
     to_texels: np.ndarray  # (shapes, 2, 3) float64: maps (u, v, 1) to columns and lines
-    texels: np.ndarray  # (n, 3) float64, row by row
+    texels: np.ndarray  # (n, 3) float64, row by row; ROWS_PER_FACE rows a face for colours of a mesh
 
 
 @jit
 def textures_in_tile(tile: Any, box: Box, shapes: Any, textures: Any, buffer: Any) -> None:
-    """Write ALBEDO of the hits on shapes with a texture, from their UV; shapes[prim]: the shape of a primitive."""
+    """Write ALBEDO of the hits on shapes with a texture, from UV or P; shapes[prim]: the shape of a primitive."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
             if tile[PRIM + i] >= 0.0:
-                k = shapes[lane(tile[PRIM + i])]
-                if textures.settings[k, 0] != NO_TEXTURE:
+                prim = lane(tile[PRIM + i])
+                k = shapes[prim]
+                how = textures.settings[k]
+                if how[0] == OF_MESH:
+                    first = how[4] + ROWS_PER_FACE * prim
+                    put(buffer, ALBEDO + i, color_on_face(textures.texels, first, get(buffer, P + i)))
+                elif how[0] != NO_TEXTURE:
                     put(buffer, ALBEDO + i, color_at(textures, k, buffer[UV + i], buffer[UV + i + ONE]))
+
+
+@jit
+def color_on_face(rows: Any, first: int, p: Vec3) -> Vec3:
+    """The colour of a mesh at p, linear on the face whose rows begin at `first`."""
+    x = sub(p, row(rows, first))
+    change = dot(row(rows, first + 2), x), dot(row(rows, first + 3), x), dot(row(rows, first + 4), x)
+    return add(row(rows, first + 1), change)
 
 
 @jit

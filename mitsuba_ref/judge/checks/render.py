@@ -14,7 +14,7 @@ from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.intersections import Array, any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
-from mitsuba_ref.error_model.textures import color_ratios
+from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check, worst_pixel
@@ -97,7 +97,8 @@ def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     claims = Claims(t, shape, n, sh_n, p, KU_OURS * t, uv=uv)
     found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
     right = found.allowed | found.open
-    right &= color_ratios(scene.textures, shape, uv, albedo, KU_OURS) <= 1.0
+    colored = ColoredPoints(shape, prim, uv, p, albedo)
+    right &= color_ratios(scene.textures, model.packed.parts, colored, KU_OURS) <= 1.0
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
