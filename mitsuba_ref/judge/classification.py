@@ -269,8 +269,8 @@ class Judge:
     @cached_property
     def hits_at_t_min(self) -> Array:
         """(n,) bool: a candidate's hits exactly at t_min, such as t = 0, which it may count as part of the ray."""
-        found: Array = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
-        return found & (not self.answer.hits_only)
+        found: Array = (self.answer.t == self.t_min) & (not (self.answer.exact_visibility or self.answer.hits_only))
+        return found
 
     def _may_hit(self) -> Array:
         """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""

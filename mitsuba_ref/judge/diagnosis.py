@@ -234,7 +234,7 @@ def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, Array]]:
 def _is_behind_first(f: WrongPixels) -> Array:
     """(m,) bool: a surface behind the first one is answered."""
     behind = np.zeros(len(f.rows), bool)
-    if f.judge.answer.hits_only or not f.given_hit.any():
+    if f.judge.answer.hits_only:
         return behind
     t, at = f.given_t[f.roots.ray], f.roots.at
     behind[f.roots.ray[np.abs(t - at.t) <= np.maximum(at.t_error, MATCH_RTOL * np.abs(t))]] = True

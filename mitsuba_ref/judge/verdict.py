@@ -37,8 +37,7 @@ def json_number(value: float) -> float | str:
 
 def as_json(result: Any) -> dict[str, Any]:
     """A pydantic dataclass as plain data, derived values included."""
-    data: dict[str, Any] = TypeAdapter(type(result)).dump_python(result, mode="json")
-    return data
+    return dict(TypeAdapter(type(result)).dump_python(result, mode="json"))
 
 
 def kinds_text(kinds: dict[str, dict[str, int]]) -> str:

@@ -121,7 +121,7 @@ def bits_differ(a: Array, b: Array) -> Array:
     return np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
 
 
-def worst_pixel(shares: dict[str, Array], among: Array, scene: Scene) -> Found:
+def worst_pixel(shares: dict[str, Array], scene: Scene, among: Array | bool = True) -> Found:
     """The largest of all shares, with its pixel; one that is not a number counts as infinite."""
     table = np.where(among, np.nan_to_num([*shares.values()], nan=np.inf, posinf=np.inf), 0.0)
     part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
