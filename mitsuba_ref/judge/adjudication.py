@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
@@ -21,8 +20,6 @@ from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
 
-# Agreeing pixels away from edges that are compared with exact arithmetic as well: a tenth of a second a scene.
-AGREEING_PIXELS_ADJUDICATED = 1024
 ADJUDICATION_SEED = 2
 
 
@@ -51,31 +48,19 @@ class Adjudication:
         return self.answered & ~(self.ratio <= 1.0)
 
     @cached_property
-    def place(self) -> dict[int, int]:
-        """The row here of each adjudicated row of the image."""
-        return {int(row): i for i, row in enumerate(self.rows)}
+    def by_row(self) -> dict[int, ExactAnswer | None]:
+        """The answer to each adjudicated row of the image."""
+        return dict(zip(self.rows.tolist(), self.answers, strict=True))
 
     def of(self, row: int) -> ExactAnswer | None:
         """The exact answer at a row of the image, if it was adjudicated."""
-        i = self.place.get(int(row))
-        return None if i is None else self.answers[i]
+        return self.by_row.get(int(row))
 
     def first_hits(self, rows: Array) -> tuple[Array, Array]:
         """(m,) primitive and t of the exact answer at some rows; -1 and inf on a miss, or if it is not known."""
         answers = [self.of(row) for row in rows]
         prim = np.array([-1 if answer is None else answer.prim for answer in answers], np.int64)
         return prim, np.array([np.inf if answer is None else answer.distance for answer in answers])
-
-
-def needs_adjudication(plain: Array, hit: Array, certain: Array, shape: tuple[int, int]) -> Array:
-    """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.
-
-    plain, hit, certain: (n,) bool; the pixel agrees, the subject hits, the reference certainly hits. shape: (h, w).
-    """
-    near_hit = sliding_window_view(np.pad(hit.reshape(shape), 1), (3, 3)).any(axis=(2, 3)).ravel()
-    chosen = ~plain | (hit & ~certain) | (~hit & near_hit)
-    chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
-    return np.flatnonzero(chosen)
 
 
 def sample_rows(rows: Array, count: int) -> Array:
@@ -97,10 +82,9 @@ def oracle_answers(oracle: Oracle, o: Array, d: Array, t_max: Array, t_min: Arra
 
 def claims_of(answer: Answer, packed: Packed) -> Claims:
     """The claims of a subject: hits, with shape, primitive and normal if it gives them; no positions."""
-    shapes = len(packed.parts)
     named: Array | int = ANY_SHAPE
-    if answer.shape_id is not None:  # `shapes`: none there is
-        named = np.where((answer.shape_id >= 0) & (answer.shape_id < shapes), answer.shape_id, shapes)
+    if answer.shape_id is not None:  # a negative number names no shape, as one beyond the last does
+        named = np.where(answer.shape_id >= 0, answer.shape_id, len(packed.parts))
     shape, prim = np.where(answer.hit, named, CLAIMED_MISS), answer.prim_id
     t = np.where(answer.hit, np.nan, np.inf) if answer.hits_only else answer.t
     n = NOT_CLAIMED if answer.n is None else answer.n
@@ -116,7 +100,7 @@ Column = tuple[str, Array, Callable[[Array], Array]]
 
 def id_columns(answer: Answer, packed: Packed) -> list[Column]:
     """(name, (n,) the subject's numbers, primitives of the scene -> the right numbers) of each column that is given."""
-    columns: tuple[tuple[str, Array | None, Callable[[Array], Array]], ...] = (
+    columns = (
         ("shape", answer.shape_id, packed.shape_of),
         ("primitive", answer.prim_id, packed.index_in_shape),
         ("primitive", answer.prim, lambda prim: prim),
@@ -172,14 +156,7 @@ def exact_ratios(
 def ratio_to_bound(error: Array, bound: Array) -> Array:
     """error / bound; 0 where the bound is infinite, inf where the error is no number."""
     ratio = np.where(error == 0.0, 0.0, error / bound)
-    ratio = np.where(np.isposinf(bound) & np.isfinite(error), 0.0, ratio)
     return np.where(np.isnan(ratio), np.inf, ratio)
-
-
-def names_other_tie(packed: Packed, shape: Array, answers: Sequence[ExactAnswer | None]) -> Array:
-    """(m,) bool: shape[i] has a member of the exact tie set other than the first."""
-    named = zip(shape.tolist(), answers, strict=True)
-    return np.array([a is not None and each in packed.shape_of(a.prims[1:]) for each, a in named], bool)
 
 
 # ---- any float32 rays, for stress and bench

@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,6 @@ from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.subjects.bounce_films import BounceFilm
 from mitsuba_ref.subjects.subject import Answer
 
-T = TypeVar("T")
-
 # Quantities that the judge compares for our caster and that candidates do not give; some give ids of shapes.
 NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
@@ -53,7 +52,7 @@ def class_counts(judgement: Judgement, hit: Array) -> dict[str, int]:
     """Pixels of each class that are hit or fail."""
     counted = hit | judgement.is_class(*FAILING)
     numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
-    return dict(zip(CLASSES, map(int, numbers), strict=True))
+    return dict(zip(CLASSES, numbers.tolist(), strict=True))
 
 
 def kind_counts(judgement: Judgement, film: BounceFilm) -> dict[str, dict[str, int]]:
@@ -113,7 +112,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis.causes])) if len(rows) else rows
     worst_first = rows[np.lexsort([-excess, alike])].tolist()
     rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
-    causes = sorted(diagnosis.rows_of.values(), key=lambda cause_rows: -len(cause_rows))
+    causes = sorted(diagnosis.rows_of.values(), key=len, reverse=True)
     leading = [min(cause_rows.tolist(), key=rank.__getitem__) for cause_rows in causes]
     chosen = list(dict.fromkeys([*leading, *worst_first]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
@@ -188,13 +187,13 @@ def judged_film(judge: Judge, judgement: Judgement) -> JudgedFilm:
 
 
 def _failing(judge: Judge, judgement: Judgement) -> Iterator[FailingPixel]:
-    pair, bounds = judge.pair, {name: check_bound(judge, name) for name in judgement.ratios}
-    rows = failing_rows(judgement)
+    pair, bounds, rows = judge.pair, error_bounds(judge), failing_rows(judgement)
     for row, check in zip(rows.tolist(), decisive_checks(judgement, rows), strict=True):
         name, ratio = VALUES_OF.get(check, check), float(judgement.ratios[check][row])
         x, y = pixel_of(judge.scene, row)
         sides = (_value(aovs, name, row) for aovs in (pair.subject, pair.reference))
-        yield FailingPixel(x, y, CLASSES[int(judgement.classes[row])], check, ratio, float(bounds[check][row]), *sides)
+        bound = float(bounds[check][row]) if check in bounds else np.nan
+        yield FailingPixel(x, y, CLASSES[int(judgement.classes[row])], check, ratio, bound, *sides)
 
 
 def _value(aovs: Aovs, name: str, row: int) -> Any:
@@ -206,18 +205,13 @@ def _value(aovs: Aovs, name: str, row: int) -> Any:
     return value.item() if value.ndim == 0 else value
 
 
-def check_bound(judge: Judge, check: str) -> Array:
-    """(n,) the bound on the error of a check, in the unit of its values: 0 for numbers and hits, nan if unknown."""
+def error_bounds(judge: Judge) -> dict[str, Array]:
+    """(n,) the bound on the error of each check that has one, in the unit of its values; 0 for numbers and hits."""
     own, pixels = judge.bounds.own, judge.pixels
-    if check in ("mask", "shape_id", "prim_id"):
-        return np.zeros(len(judge.hit))
-    if judge.names_prims and check in pixels.allowed_distance:
-        return pixels.allowed_distance[check]
-    if check == "normal":
-        return own.n_error
-    if check in ("depth", "on_surface"):
-        return (own.t_error + judge.answer.t_rounding) * pixels.length
-    return np.full(len(judge.hit), np.nan)
+    of_depth = (own.t_error + judge.answer.t_rounding) * pixels.length
+    found = dict.fromkeys(("mask", "shape_id", "prim_id"), np.zeros(len(judge.hit)))
+    found |= {"normal": own.n_error, "depth": of_depth, "on_surface": of_depth}
+    return found | pixels.allowed_distance if judge.names_prims else found
 
 
 def joined(bands: Sequence[JudgedFilm]) -> JudgedFilm:
@@ -277,7 +271,7 @@ def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def _largest(windows: Sequence[Mapping[str, T]]) -> dict[str, T]:
+def _largest(windows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The largest entry of each name, the first of several; entries are numbers or have a ratio."""
     items = [item for window in windows for item in window.items()]
     found = dict(sorted(reversed(items), key=lambda item: _badness(item[1])))
@@ -293,15 +287,17 @@ def _badness(entry: Any) -> tuple[bool, float]:
 def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
     """One of each reason, then the worst of the others."""
     leading = list({failure.reason: failure for failure in reversed(failures)}.values())[::-1]
-    others = [failure for failure in failures if failure not in leading]
-    others.sort(key=_badness, reverse=True)
+    others = sorted((failure for failure in failures if failure not in leading), key=_badness, reverse=True)
     return tuple([*leading, *others][:MAX_LISTED_FAILURES])
 
 
 def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:
     """Each diagnosis once, most pixels first."""
-    every = [finding for window in windows for finding in window.findings]
-    sums = {name: _added([{each.what: getattr(each, name)} for each in every]) for name in ("pixels", "of", "alike")}
-    first: dict[str, Any] = {finding.what: finding for finding in reversed(every)}
-    merged = [replace(first[what], **{name: each[what] for name, each in sums.items()}) for what in sums["pixels"]]
-    return tuple(sorted(merged, key=lambda each: -each.pixels))
+    merged: dict[str, Finding] = {}
+    for more in chain.from_iterable(window.findings for window in windows):
+        if (first := merged.get(more.what)) is None:
+            merged[more.what] = more
+            continue
+        pixels, of, alike = first.pixels + more.pixels, first.of + more.of, first.alike + more.alike
+        merged[more.what] = replace(first, pixels=pixels, of=of, alike=alike)
+    return tuple(sorted(merged.values(), key=lambda each: -each.pixels))

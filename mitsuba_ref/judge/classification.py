@@ -7,12 +7,13 @@ rounding allows its answer; our caster claims exact visibility, and is not.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from caster.aovs import Aovs
 from caster.scene.model import Scene
@@ -22,15 +23,7 @@ from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
 from mitsuba_ref.error_model.intersections import Array, Intersections, row_groups, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
-from mitsuba_ref.judge.adjudication import (
-    Adjudication,
-    claims_of,
-    exact_ratios,
-    names_other_tie,
-    needs_adjudication,
-    oracle_answers,
-    sample_rows,
-)
+from mitsuba_ref.judge.adjudication import Adjudication, claims_of, exact_ratios, oracle_answers, sample_rows
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, UvPair, compare, inconsistent_aovs, pair_images
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
@@ -45,6 +38,9 @@ from mitsuba_ref.subjects.requests import SubjectResponse
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
 CODE = SimpleNamespace(**CLASS_CODE)  # CODE.wrong is that of the class `wrong`
 EXACT = "exact"  # the subject against exact arithmetic, beside the checks of judge/comparison.py
+
+# Agreeing pixels away from edges that are compared with exact arithmetic as well: a tenth of a second a scene.
+AGREEING_PIXELS_ADJUDICATED = 1024
 
 # Agreeing pixels of a scene whose diffuse values are compared with float64's bracket as well: a tenth of a second.
 AGREEING_PIXELS_SHADED = 4096
@@ -67,7 +63,7 @@ class Judgement:
     allowed: Mapping[str, float]  # the scene's own shares of bounds
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
-    not_adjudicated: Array = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
+    not_adjudicated: Array  # rows
 
     def excess(self, name: str) -> Array:
         """(n,) error over what the scene allows of the bound."""
@@ -221,11 +217,11 @@ class Judge:
         t = self.reference_t
         fits = at.possible & (np.abs(t - at.t) <= at.t_error) & (t > 0.0)
         fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
-        return np.where(result.hit, fits, True)
+        return fits | ~result.hit
 
     @without_float_warnings
     def _adjudicate(self, agreeing: Array) -> Adjudication:
-        """Compare the subject with exact arithmetic wherever that may matter."""
+        """Compare the subject with exact arithmetic where it disagrees, near edges, and at some other pixels."""
         disputed = ~agreeing
         certain = self.bounds.at.certain
         if not self.answer.exact_visibility:
@@ -234,16 +230,19 @@ class Judge:
             own = self.bounds.own  # rounding may move a hit beyond t_min or t_max
             certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
             agreeing = agreeing & ~self._may_hit()
-        rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
-        rows = rows[self.t_max[rows] >= 0.0]
-        return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
+        hits = np.pad(self.hit.reshape(self.pair.shape), 1)
+        near_hit = sliding_window_view(hits, (3, 3)).any(axis=(2, 3)).ravel()
+        chosen = ~agreeing | np.where(self.hit, ~certain, near_hit)
+        chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
+        rows = np.flatnonzero(chosen & (self.t_max >= 0.0))
+        return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]])[rows]])
 
-    def _surely_wrong(self, rows: Array, count: int) -> Array:
+    def _surely_wrong(self, rows: Array) -> Array:
         """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
 
         rows: the pixels that disagree. These pixels stay undecided, which fails as well.
         """
-        found, kind = np.zeros(count, bool), self.kinds_of_pixels(rows)
+        found, kind = np.zeros(len(self.hit), bool), self.kinds_of_pixels(rows)
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
@@ -256,8 +255,8 @@ class Judge:
 
     def kinds_of_pixels(self, rows: Array) -> Array:
         """(m,) groups of rows: by the shape that Mitsuba hits, and by whether each side hits."""
-        shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
-        return row_groups(np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]]))
+        shape = self.result.shape_id[rows] * (len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES)
+        return row_groups(np.column_stack([shape, self.result.hit[rows], self.hit[rows]]))
 
     def adjudicated(self, rows: Array) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""
@@ -270,8 +269,8 @@ class Judge:
     @cached_property
     def hits_at_t_min(self) -> Array:
         """(n,) bool: a candidate's hits exactly at t_min, such as t = 0, which it may count as part of the ray."""
-        found: Array = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
-        return found & (not self.answer.hits_only)
+        found: Array = (self.answer.t == self.t_min) & (not (self.answer.exact_visibility or self.answer.hits_only))
+        return found
 
     def _may_hit(self) -> Array:
         """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
@@ -298,11 +297,12 @@ class Judge:
         classes[rows] = CODE.reference_wrong
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
         classes[rows[allowed & ~useless]] = CODE.explained
-        exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
+        exponent = self.pair.rays.rows(rows).reference_exponent
         same = (o == self.o[rows]).all(axis=1) & (np.ldexp(d, exponent[:, None]) == self.d[rows]).all(axis=1)
-        answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
-        tied = allowed & ~useless & names_other_tie(self.model.packed, claims.shape, answers)
-        classes[rows[tied]] = CODE.tie
+        for i in np.flatnonzero(allowed & ~useless & same):
+            answer = exact.of(rows[i])
+            if answer is not None and claims.shape[i] in self.model.packed.shape_of(answer.prims[1:]):
+                classes[rows[i]] = CODE.tie
 
     def _within_rounding(self, exact: Adjudication) -> tuple[Array, Array]:
         """(m,) bool each, at the adjudicated rows where the subject is not exactly right.
@@ -338,7 +338,11 @@ class Judge:
         classes[beyond & (diffuse.ratio > 1.0) & diffuse.unresolvable] = CODE.out_of_domain
         classes[beyond & diffuse.explained] = CODE.explained
         testable = self.hit & np.isfinite(self.bounds.own.t_error)
-        alone = np.flatnonzero((self._held_to_float64(classes) | disputed) & testable)
+        # Compared with float64: all that pass without the reference, and some that agree, which would show a subject
+        # that copies Mitsuba's coarse shadows.
+        held = disputed | np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
+        held[sample_rows(np.flatnonzero(classes == CODE.agree), AGREEING_PIXELS_SHADED)] = True
+        alone = np.flatnonzero(held & testable)
         if len(alone):
             values = aov_rows(self.pair.subject, "diffuse")[alone]
             own = shading_points(self.pair, self.bounds.own, alone)
@@ -347,16 +351,6 @@ class Judge:
             classes[alone[~right]] = CODE.wrong
             diffuse.ratio[alone[~right]] = np.inf
         return diffuse.ratio
-
-    def _held_to_float64(self, classes: Array) -> Array:
-        """(n,) bool: pixels whose diffuse value is compared with float64: all that pass otherwise, some that agree.
-
-        The agreeing ones would show a subject that copies Mitsuba's coarse shadows.
-        """
-        agreeing = np.flatnonzero(classes == CODE.agree)
-        chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
-        chosen[sample_rows(agreeing, AGREEING_PIXELS_SHADED)] = True
-        return chosen
 
     def _known_cases(self, rows: Array, agreeing: Array, exact: Adjudication) -> dict[int, int | None]:
         """The known defect at each row, where the reference is wrong. Wrong light on a right surface is none."""

@@ -4,7 +4,6 @@ Also computes the features of a pixel that they depend on.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -37,8 +36,8 @@ def defect_name(number: int) -> str:
 
 def defect_of(features: DefectFeatures) -> int | None:
     """The number of the known defect that fits (of several, the one of lowest `priority`), or None."""
-    involved = [kind for kind in KINDS.values() if kind.name in features.kinds]
-    found = [defect for kind in involved for defect in kind.known_defects if defect.applies(kind.name, features)]
+    kinds = KINDS.values()
+    found = [defect for kind in kinds for defect in kind.known_defects if defect.applies(kind.name, features)]
     if NAN_T.condition(features):
         found.append(NAN_T)
     return min(found, key=lambda defect: defect.priority).number if found else None
@@ -70,10 +69,10 @@ def defect_features(
     distance, offset = np.maximum(_distance_and_offset(model, hit, o), _distance_and_offset(model, named, o))
     for i, answer in enumerate(answers):
         t, prim = float(claims.t[i]), int(named[i])
-        ours, theirs = (_view(model, int(each), o[i], d[i], t) for each in (hit[i], prim))
+        (kind, ours), (their_kind, theirs) = (_view(model, int(each), o[i], d[i], t) for each in (hit[i], prim))
         yield DefectFeatures(
-            _kind(model, int(hit[i])),
-            _kind(model, prim),
+            kind,
+            their_kind,
             where=frozenset(hit.where for hit in answer.ties),
             flags=answer.flags,
             t=t,
@@ -118,23 +117,14 @@ def _distance_and_offset(model: SceneModel, prims: Array, o: Array) -> tuple[Arr
     return np.where(sized, away / size, 0.0), np.where(sized, farthest / size, 0.0)
 
 
-def _place(model: SceneModel, prim: int) -> tuple[Any, int]:
-    """(arrays of its kind, its row there)."""
-    kind, k = model.packed.kinds_of(np.array([prim]))
-    return model.packed.kinds[int(kind[0])].prims, int(k[0])
-
-
-def _kind(model: SceneModel, prim: int) -> str:
-    return kind_of(_place(model, prim)[0]).name if prim >= 0 else ""
-
-
 @without_overflow_warnings
-def _view(model: SceneModel, prim: int, o: Array, d: Array, t: float) -> DefectView:
-    """Measures of one primitive and the ray, by its kind."""
+def _view(model: SceneModel, prim: int, o: Array, d: Array, t: float) -> tuple[str, DefectView]:
+    """The kind of one primitive, "" for none, and its measures of the ray."""
     if prim < 0:
-        return DefectView()
-    prims, k = _place(model, prim)
-    return kind_of(prims).defect_view(prims, k, o, d, t)
+        return "", DefectView()
+    kind, k = model.packed.place_of(prim)
+    reference = kind_of(kind.prims)
+    return reference.name, reference.defect_view(kind.prims, k, o, d, t)
 
 
 def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: Array, d: Array) -> bool:

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from caster.description.transform import rotations
 from mitsuba_ref.error_model.bounds import row_distance
 from mitsuba_ref.error_model.intersections import Array, dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
@@ -40,7 +41,6 @@ from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
 
 SAME_SYMPTOM = "same symptom, not looked at"
-OTHER_PRIMITIVE = "another primitive than the first one, at the same t"
 MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which the tables of mistakes are tried
 RIGHT_PIXELS = 512  # that have to stay right under a mistake
 NONE = np.zeros(0, np.int64)
@@ -105,12 +105,12 @@ class _Causes:
         self.left = np.zeros(len(judge.t_max), bool)  # rows that fail and have no cause yet
         self.left[failing_rows(judgement)] = True
 
-    def take(self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
-        """Assign a cause to those of the rows that have none yet. where: look for a separator."""
-        self.add(what, rows[self.left[rows]], of, remedy, where=where)
-
-    def add(self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
-        """Assign a cause to rows, beside others that they may have."""
+    def take(
+        self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False, beside: bool = False
+    ) -> None:
+        """Assign a cause to those of the rows that have none yet, or beside others. where: look for a separator."""
+        if not beside:
+            rows = rows[self.left[rows]]
         if not len(rows):
             return
         self.left[rows] = False
@@ -145,7 +145,7 @@ class _Causes:
         f = g.take(places)
         left = np.ones(len(places), bool)
         for mistake, fits in explanations(f, self.right, table(f)):
-            self.add(mistake.what, f.rows[fits], len(places), mistake.remedy, where=mistake.single)
+            self.take(mistake.what, f.rows[fits], len(places), mistake.remedy, where=mistake.single, beside=True)
             left &= ~fits
             on_surface[places[fits]] = mistake.same_surface
             if not mistake.same_surface and fits.sum() >= NEARLY_ALL * len(places) > NEARLY_ALL * MAJORITY * len(off):
@@ -153,7 +153,7 @@ class _Causes:
         f = f.take(left)
         left = np.ones(len(f.rows), bool)
         for what, fits in describe(f):
-            self.add(what, f.rows[fits & left], where=True)
+            self.take(what, f.rows[fits & left], where=True, beside=True)
             left &= ~fits
         return g.take(on_surface)
 
@@ -194,7 +194,7 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
         g = _pixels(judge, judgement, looked_at)
         g = causes.explain(g, g.off, mistakes, _describe_hits)
         g = g.take(g.hit & g.given_hit)
-        g = causes.explain(g, _has_wrong_id(g), id_mistakes, lambda f: iter([(OTHER_PRIMITIVE, f.hit)]))
+        g = causes.explain(g, _has_wrong_id(g), id_mistakes, _describe_ids)
         causes.explain(g, has_wrong_normal(g), normal_mistakes, _describe_normals)
         inexact = np.setdiff1d(inexact, looked_at)
     causes.take_alike(np.union1d(judgement.not_adjudicated, inexact))
@@ -234,7 +234,7 @@ def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, Array]]:
 def _is_behind_first(f: WrongPixels) -> Array:
     """(m,) bool: a surface behind the first one is answered."""
     behind = np.zeros(len(f.rows), bool)
-    if f.judge.answer.hits_only or not f.given_hit.any():
+    if f.judge.answer.hits_only:
         return behind
     t, at = f.given_t[f.roots.ray], f.roots.at
     behind[f.roots.ray[np.abs(t - at.t) <= np.maximum(at.t_error, MATCH_RTOL * np.abs(t))]] = True
@@ -245,6 +245,10 @@ def _has_wrong_id(f: WrongPixels) -> Array:
     """(m,) bool: a shape or primitive is named that is not hit."""
     wrong = [ids[f.rows] != number(f.prim) for _, ids, number in id_columns(f.judge.answer, f.judge.model.packed)]
     return np.any([np.zeros(len(f.rows), bool), *wrong], axis=0)
+
+
+def _describe_ids(f: WrongPixels) -> Iterator[tuple[str, Array]]:
+    yield "another primitive than the first one, at the same t", f.hit
 
 
 def _describe_normals(f: WrongPixels) -> Iterator[tuple[str, Array]]:
@@ -309,26 +313,24 @@ Property = tuple[str, Array]  # a sentence, and (n,) bool
 
 def separator_text(judge: Judge, judgement: Judgement, wrong: Array, *, prims_only: bool = False) -> str:
     """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
-    prim = judge.reference_prim.astype(np.int64)
+    return next(_separators(judge, judgement, wrong, prims_only), "")
+
+
+def _separators(judge: Judge, judgement: Judgement, wrong: Array, prims_only: bool) -> Iterator[str]:
+    """What separates rows, the simplest first."""
+    prim = judge.reference_prim.astype(np.int64)  # (n,) what each ray hits
     prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
-    right = np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))
-    return next(_separators(judge, prim, wrong[prim[wrong] >= 0], right, prims_only), "")
-
-
-def _separators(judge: Judge, prim: Array, wrong: Array, right: Array, prims_only: bool) -> Iterator[str]:
-    """What separates rows, the simplest first. prim: (n,) what each ray hits."""
+    wrong, right = wrong[prim[wrong] >= 0], np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))
     rows, is_wrong = np.concatenate([wrong, right]), np.repeat([True, False], [len(wrong), len(right)])
     yield from _by_remainder(
         "the primitive's number in its shape", judge.model.packed.index_in_shape(prim[rows]), is_wrong
     )
     named = list(_by_prims(judge, prim[rows], is_wrong))
-    if prims_only:
-        yield from named
-        return
-    numbers = (np.cumsum(judge.t_max >= 0.0) - 1)[rows]  # a pixel without a ray has no number
-    named += _by_remainder("the ray's number", numbers, is_wrong)
+    if not prims_only:
+        numbers = (np.cumsum(judge.t_max >= 0.0) - 1)[rows]  # a pixel without a ray has no number
+        named += _by_remainder("the ray's number", numbers, is_wrong)
     some = [sample_rows(each, MAX_DIAGNOSED_PIXELS) for each in (wrong, right)]
-    if min(map(len, some)) < MIN_SEPARATED_PIXELS:
+    if prims_only or min(map(len, some)) < MIN_SEPARATED_PIXELS:
         yield from named
         return
     rows, is_wrong = np.concatenate(some), np.repeat([True, False], [*map(len, some)])
@@ -486,7 +488,7 @@ def _features(judge: Judge, rows: Array, prim: Array) -> tuple[list[Property], l
 
 TRIED_RAYS, TRIED_RTOL = 64, 0.1  # a start that is moved by an epsilon counts as right
 LONGER, FARTHER = 2.0**40, 1000.0  # a direction; a start, in distances from the hit
-TURN = 0.35  # radians
+TURN = rotations(np.array([[1.0, 2.0, 3.0, 21.2]]))[0]  # by 20 degrees
 
 
 def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays) -> str:
@@ -499,8 +501,7 @@ def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays)
     if not len(chosen):
         return ""
     o, d, t = judge.o[rows[chosen]], judge.d[rows[chosen]], t[chosen, None]
-    p, axis = o + t * d, np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
-    turned = np.cos(TURN) * d + np.sin(TURN) * np.cross(axis, d) + (1.0 - np.cos(TURN)) * (d @ axis)[:, None] * axis
+    p, turned = o + t * d, d @ TURN
     determinants = np.abs(dot(d, area_vectors(triangle_corners(judge, prim[chosen]))))
     determinants = determinants[np.isfinite(determinants)]
     small = f"the determinants of {range_text(determinants)}" if len(determinants) else "such sizes"

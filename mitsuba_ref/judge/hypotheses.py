@@ -183,9 +183,9 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
         yield from _other_numbers(f)
     yield from _image_orders(f.judge.pair.shape, is_list)
     if not is_list:
-        yield from BESIDE_CENTERS
+        yield from (_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
     yield from SELECTIONS
-    yield from OTHER_RAYS
+    yield from _other_rays()
 
 
 OUT_OF_RANGE = (
@@ -389,8 +389,6 @@ def _beside_centers(x: float, y: float) -> Mistake:
     )
 
 
-BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
-
 SAME = np.eye(3)
 
 
@@ -419,9 +417,6 @@ def _other_rays() -> Iterator[Mistake]:
             SAME,
             scale,
         )
-
-
-OTHER_RAYS = tuple(_other_rays())
 
 
 # ---- the wrong one of several hits
@@ -594,7 +589,7 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
                 "turn it by the camera's matrix",
                 axes * signs,
             )
-    yield from OTHER_NORMALS
+    yield from _other_normals()
     if f.judge.answer.precision == FLOAT32:
         yield Mistake(
             "the normal is computed from corners minus the ray's origin, and lost digits there",
@@ -647,8 +642,6 @@ def _other_normals() -> Iterator[Mistake]:
         "one normal everywhere", "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape)
     )
 
-
-OTHER_NORMALS = tuple(_other_normals())
 
 # A choice: a mistake that names what is wrong leaves no more than so much of an error.
 MAX_SHARE_OF_ERROR_LEFT = 0.5

@@ -90,7 +90,7 @@ def bands_of(scene: Scene) -> list[Scene]:
     return list(scene.bands(BAND_PIXELS))
 
 
-def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:
+def judge_film(task: Task, finish: Finish) -> SceneVerdict:
     """The verdict of all bands, with the evidence of the one with most failures, or else of the middle one."""
     bands = task.windows()
     verdicts: list[SceneVerdict] = []
@@ -116,10 +116,9 @@ def _rows(band: Scene) -> tuple[int, int]:
 
 def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, seen: Seen | None) -> SceneVerdict:
     """The verdict of a film in bands; that of the shown band comes first."""
-    last = len(verdicts) - 1
-    if verdicts[last].problem:
-        first, end = _rows(bands[last])
-        verdicts[last] = replace(verdicts[last], problem=f"rows {first} to {end}: {verdicts[last].problem}")
+    if verdicts[-1].problem:
+        first, end = _rows(bands[len(verdicts) - 1])
+        verdicts[-1] = replace(verdicts[-1], problem=f"rows {first} to {end}: {verdicts[-1].problem}")
     notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
     if seen is not None:
         first, end = _rows(bands[shown])
@@ -167,17 +166,13 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
     diagnosis = diagnose(judge, judgement, further_rays(task.subject, response.scene))
 
     # Check whatever pixels do not show.
-    shared = original.condition > 0.0 if original else None
     inputs |= {
         "scene": response.scene,
         "result": judge.result,
         "loaded": judge.result.answer.meshes,
         "failing": bool(judgement.is_class(*FAILING).any()),
-        "pair": judge.pair,
-        "packed": judge.model.packed,
-        "bounds": judge.bounds,
-        "prims": judge.prim,
-        "biases": tuple(kind_biases(judge.model.packed, judge.pair, judge.bounds, shared)) if task.ours else (),
+        "judge": judge,
+        "biases": tuple(kind_biases(judge)) if task.ours else (),
     }
     if not task.ours:
         made = make_checks(of_scene, inputs)

@@ -24,7 +24,6 @@ EVIDENCE = (AGREE, TIE)  # subject and reference were compared, and are right
 EXCUSED = (EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG)  # the subject was compared with exact arithmetic alone
 JUDGED_WITHOUT_REFERENCE = (*EXCUSED, TIE)  # the reference hits another surface, and so does not bound the subject
 FAILING = (WRONG, UNDECIDED)
-BIAS_OF_T, BIAS_OF_POSITION = "t", "position"
 UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
 VERDICT_FORMAT = 6  # of verdict.json: raised when a name in it changes its meaning or goes away
@@ -38,8 +37,7 @@ def json_number(value: float) -> float | str:
 
 def as_json(result: Any) -> dict[str, Any]:
     """A pydantic dataclass as plain data, derived values included."""
-    data: dict[str, Any] = TypeAdapter(type(result)).dump_python(result, mode="json")
-    return data
+    return dict(TypeAdapter(type(result)).dump_python(result, mode="json"))
 
 
 def kinds_text(kinds: dict[str, dict[str, int]]) -> str:
@@ -90,7 +88,7 @@ class KindBias:
     kind: str  # name of its packed arrays
     groups: int  # of the grouping that makes the fewest
     z: float  # of the grouping that makes it smallest; positive: the reference is farther along the rays
-    quantity: str = BIAS_OF_T  # whose bias z is: "t", or "position" of a kind that the reference traces as triangles
+    quantity: str = "t"  # whose bias z is: "t", or "position" of a kind that the reference traces as triangles
     t_bias: float = 0.0  # mean error of the reference's t, in roundings: at triangles a property of the CPU
 
     @computed_field  # type: ignore[prop-decorator]

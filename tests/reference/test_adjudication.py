@@ -19,8 +19,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import shapes as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.adjudication import AGREEING_PIXELS_ADJUDICATED
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge
+from mitsuba_ref.judge.classification import AGREEING_PIXELS_ADJUDICATED, CLASS_CODE, Judge
 from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain

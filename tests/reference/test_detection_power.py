@@ -20,9 +20,8 @@ from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import Bounds, intersections_at
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS, LARGEST_Z, MIN_GROUPS, U32
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, U32
 from mitsuba_ref.judge.checks.bias import check_bias, kind_biases
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
@@ -75,12 +74,7 @@ class Asked:
         answer = answer_of_view(self.scene, self.view)
         answer = replace(answer, t=answer.t * (1.0 + share))
         pair = pair_images(self.scene, self.rays, answer, witness or self.witness)
-        lines = tuple(a.astype(np.float64) for a in self.rays[:2])
-        own, at = (
-            intersections_at(self.model, answer.prim, lines, answer.t, ku, ours=ku == KU_OURS) for ku in (KU_OURS, KU)
-        )
-        bounds = Bounds(own, at)
-        return kind_biases(self.packed, pair, bounds)
+        return kind_biases(Judge(self.scene, self.model, pair))
 
     @cached_property
     def view(self) -> RayHits:
@@ -103,8 +97,7 @@ def beyond(judge: Judge) -> np.ndarray:
 
 
 def errors(asked: Asked, view: RayHits) -> list[KindBias]:
-    judge = asked.judge(view)
-    return kind_biases(asked.packed, judge.pair, judge.bounds)
+    return kind_biases(asked.judge(view))
 
 
 def z_of(found: list[KindBias]) -> float:
@@ -228,7 +221,7 @@ def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, sha
         prims.vertices[:] += share * (eye - prims.vertices)
 
     judge = asked.judge(asked.altered(pull))
-    found = kind_biases(asked.packed, judge.pair, judge.bounds)
+    found = kind_biases(judge)
     print(f"\nmesh nearer by {share:g}: z {z_of(found):.1f} of {found}")
     assert [bias.enough_groups for bias in found] == [True]
     assert check_bias(found).ok is not biased and (z_of(found) > 2.0 * LARGEST_Z) is biased

@@ -21,7 +21,7 @@ def test_the_method_page_lists_the_checks():
 
 def test_only_thorough_adds_the_checks_beyond_the_film():
     added = {check.name for check in checks_of(OURS, thorough=True)} - {check.name for check in checks_of(OURS)}
-    assert added == {"brute_force", "routes", "scaling"}
+    assert added == {"routes", "scaling"}
 
 
 def test_a_check_gets_what_it_names_and_may_have_no_result():

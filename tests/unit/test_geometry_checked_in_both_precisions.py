@@ -3,6 +3,7 @@
 An error in one of them is found whatever the other one is like.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,12 +13,12 @@ from places import SCENES as FOLDER
 
 from caster.cameras import Pinhole
 from caster.description.fields import Shape
-from caster.geometry.packing import packed
+from caster.geometry.packing import Packed, packed
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import Cube, Cylinder, Disk, Heightfield, Icosphere, Mesh, Plane, Rectangle, Sphere, Torus, Triangle
 from mitsuba_ref.judge.checks import shapes, worst_share
-from mitsuba_ref.judge.checks.shapes import PRECISIONS, Precision, check_geometry
+from mitsuba_ref.judge.checks.shapes import PACKINGS, check_geometry
 from mitsuba_ref.shapes import reference_of
 
 SCENES = sorted(FOLDER.glob("*.toml"))
@@ -61,10 +62,10 @@ def claims_of(shape: Shape) -> list[str]:
 
 
 FAULTS = [
-    pytest.param(shape, what, precision.name, id=f"{type(shape).__name__}-{i}-{what}-{precision.name}")
+    pytest.param(shape, what, precision, id=f"{type(shape).__name__}-{i}-{what}-{precision}")
     for i, shape in enumerate(SHAPES)
     for what in claims_of(shape)
-    for precision in PRECISIONS
+    for precision in PACKINGS
 ]
 
 
@@ -73,12 +74,12 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
     """The other precision is right, whichever is looked at last."""
     packed_now: list[str] = []
 
-    def noting(each: Precision) -> Precision:
-        def packing(scene: Scene) -> Any:
-            packed_now[:] = [each.name]
-            return each.packing(scene)
+    def noting(name: str) -> Callable[[Scene], Packed]:
+        def packing(scene: Scene) -> Packed:
+            packed_now[:] = [name]
+            return PACKINGS[name](scene)
 
-        return each._replace(packing=packing)
+        return packing
 
     def placed(shape: Shape, part: Any) -> Any:
         for claim in reference_of(shape).expected(shape, part):
@@ -87,7 +88,7 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
                 claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
             yield claim
 
-    monkeypatch.setattr(shapes, "PRECISIONS", tuple(map(noting, PRECISIONS)))
+    monkeypatch.setattr(shapes, "PACKINGS", {name: noting(name) for name in PACKINGS})
     assert check_geometry(scene_of(shape)).ok
     monkeypatch.setattr(shapes, "reference_of", lambda shape: replace(reference_of(shape), expected=placed))
     found = check_geometry(scene_of(shape))

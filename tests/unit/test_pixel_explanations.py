@@ -24,7 +24,7 @@ def judgement_of(*classes, ratios=None, right=(), answered=None, cases=None, all
     given = {"depth": np.zeros(count), EXACT: np.zeros(count)} | (ratios or {})
     codes = np.array([CLASS_CODE[name] for name in classes])
     shares = {name: np.asarray(each, float) for name, each in given.items()}
-    return Judgement(codes, shares, allowed or {}, exact, cases or {})
+    return Judgement(codes, shares, allowed or {}, exact, cases or {}, np.zeros(0, int))
 
 
 def subject(*, ours: bool, precision="float64") -> SimpleNamespace:

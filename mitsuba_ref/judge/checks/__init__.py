@@ -13,7 +13,6 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import pixel_of
@@ -24,7 +23,7 @@ Scope = Literal["run", "scene", "window"]
 
 NOT_JUDGED = "not judged"  # begins the text of a check that could not be made, which becomes a note of the verdict
 OURS, CANDIDATE = "ours", "candidate"  # whose answers a check is made of
-ANSWERED = {"result", "loaded", "subject", "failing", "pair", "biases"}  # known once both sides have answered
+ANSWERED = {"result", "loaded", "subject", "failing", "judge", "biases"}  # known once both sides have answered
 
 
 class Check(NamedTuple):
@@ -72,8 +71,7 @@ def all_checks() -> tuple[Check, ...]:
     """Every check in the order of execution: of the scene alone, then of the answers."""
     for module in iter_modules(__path__):
         import_module(f"{__name__}.{module.name}")
-    stage = {name: (each.answered, each.make.__module__) for name, each in _registered.items()}
-    return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
+    return tuple(sorted(_registered.values(), key=lambda each: (each.answered, each.make.__module__)))
 
 
 def checks_of(
@@ -102,8 +100,7 @@ def checks_of(
 
 def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[SceneCheck, ...]:
     """The results of the checks, except None."""
-    found = (each.make(**{name: inputs[name] for name in each.needs}) for each in checks)
-    return tuple(each for each in found if each is not None)
+    return tuple(filter(None, (each.make(**{name: inputs[name] for name in each.needs}) for each in checks)))
 
 
 def run_checks(subject: Any) -> tuple[SceneCheck, ...]:
@@ -124,10 +121,8 @@ def bits_differ(a: Array, b: Array) -> Array:
     return np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
 
 
-def worst_pixel(shares: dict[str, Array], among: Array, scene: Scene) -> Found:
-    """The largest of all shares, with its pixel."""
-    table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
-    if not table.size:
-        return 0.0, "nothing to look at"
+def worst_pixel(shares: dict[str, Array], scene: Scene, among: Array | bool = True) -> Found:
+    """The largest of all shares, with its pixel; one that is not a number counts as infinite."""
+    table = np.where(among, np.nan_to_num([*shares.values()], nan=np.inf, posinf=np.inf), 0.0)
     part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
     return float(table[part, pixel]), f"{list(shares)[part]} at {pixel_of(scene, int(pixel))}"

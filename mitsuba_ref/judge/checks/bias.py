@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from caster.geometry.packing import Packed
-from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import (
     Array,
     dot,
@@ -17,8 +15,9 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32
 from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
-from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, KindBias
+from mitsuba_ref.judge.classification import Judge
+from mitsuba_ref.judge.verdict import KindBias
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
 
@@ -28,38 +27,38 @@ from mitsuba_ref.shapes.shape_reference import PositionTerms
 
 
 @without_float_warnings
-def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: Array | None = None) -> list[KindBias]:
+def kind_biases(judge: Judge) -> list[KindBias]:
     """Bias of each kind, from both sides' answers and the reference's bounds, without float64 bounds or exact answers.
 
-    shared: (shapes,) bool, of instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
+    Without instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
     """
-    error = pair.result.t - pair.t
+    packed, answer, bounds = judge.model.packed, judge.result.answer, judge.bounds
+    error = judge.result.t - judge.answer.t
     share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
-    turned = row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal")) / bounds.at.n_error
-    same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
+    turned = judge.pixels.distance("normal") / bounds.at.n_error
+    same = np.equal(*judge.pixels.pair("shape_id"))
     near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
-    hit = (pair.prim >= 0) & pair.result.hit & near
-    if shared is not None:
-        hit[hit] = ~shared[packed.shape_of(pair.prim[hit])]
-    rows, tied = np.flatnonzero(hit & same & (turned <= 1.0)), np.flatnonzero(hit & ~same)
-    prim = pair.prim[rows]
+    hit = (judge.prim >= 0) & judge.result.hit & near
+    if original := original_of(judge.scene):
+        hit[hit] = ~(original.condition > 0.0)[packed.shape_of(judge.prim[hit])]
+    rows, tied = np.flatnonzero(hit & same & (turned <= 1.0)), judge.prim[hit & ~same]
+    prim = judge.prim[rows]
     kind, k = packed.kinds_of(prim)
-    evidence = untied(prim, kind, pair.prim[tied], packed.kinds_of(pair.prim[tied])[0])
-    scalar = pair.result.answer.versions["variant"].startswith("scalar")
+    evidence = untied(prim, kind, tied, packed.kinds_of(tied)[0])
+    scalar = answer.versions["variant"].startswith("scalar")
     found = []
     for place in np.unique(kind):
         prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
-        o, d = (a[at].astype(np.float64) for a in (pair.rays.o, pair.rays.d))
         ways = (None if scalar else reference.rounding_groups_llvm) or reference.rounding_groups
-        keys = [way(prims, k[here], bounds.own.n[at], o, d) for way in ways]
-        quantity, errors = BIAS_OF_T, share[at]
+        keys = [way(prims, k[here], bounds.own.n[at], judge.o[at], judge.d[at]) for way in ways]
+        quantity, errors = "t", share[at]
         if reference.position_terms is not None:
-            quantity = BIAS_OF_POSITION
-            errors = position_shares(reference.position_terms, prims, k[here], at, pair, bounds)
-            keys.append(pair.result.answer.prim_uv[at])  # a corner's products with the same number are rounded alike
+            quantity = "position"
+            errors = position_shares(reference.position_terms, prims, k[here], at, judge)
+            keys.append(answer.prim_uv[at])  # a corner's products with the same number are rounded alike
         groups, z = zip(*(z_of_groups(key, errors) for key in keys), strict=True)
-        resolution = U32 * pair.t[at] / bounds.at.t_error[at]  # how well each t is resolved, its weight
+        resolution = U32 * judge.answer.t[at] / bounds.at.t_error[at]  # how well each t is resolved, its weight
         weight = float(resolution @ resolution)
         t_bias = float(share[at] @ resolution) / weight if weight > 0.0 else 0.0
         found.append(KindBias(reference.name, min(groups), min(z, key=abs), quantity, t_bias))
@@ -78,7 +77,7 @@ def untied(prim: Array, kind: Array, tied: Array, tied_kind: Array) -> Array:
 
 
 @without_overflow_warnings
-def position_shares(terms: PositionTerms, prims: Any, k: Array, at: Array, pair: ImagePair, bounds: Bounds) -> Array:
+def position_shares(terms: PositionTerms, prims: Any, k: Array, at: Array, judge: Judge) -> Array:
     """(m,) how far the reference's positions at these rows are beyond ours along the ray, over their roundings.
 
     A position is the sum of the corners by barycentrics 1 - b1 - b2, b1 and b2. They are biased as t is, by a
@@ -86,13 +85,13 @@ def position_shares(terms: PositionTerms, prims: Any, k: Array, at: Array, pair:
     in the face's plane, up to K roundings of what is added. To these comes our own rounding, which alone counts where
     Mitsuba has none: in a plane through the origin, across an axis.
     """
-    o, d, t = pair.rays.o[at].astype(np.float64), pair.rays.d[at].astype(np.float64), pair.t[at]
-    b1, b2 = pair.result.answer.prim_uv[at].T
+    o, d, t, own = judge.o[at], judge.d[at], judge.answer.t[at], judge.bounds.own
+    b1, b2 = judge.result.answer.prim_uv[at].T
     weights = stacked_columns(np.float32(1.0) - b1 - b2, b1, b2).astype(np.float64)  # the first as Mitsuba rounds it
-    p, n = pair.result.answer.p[at].astype(np.float64), bounds.own.n[at]
+    p, n = judge.result.answer.p[at].astype(np.float64), own.n[at]
     slope = dot(n, d)
     beyond = np.sign(slope) * dot(n, p / weights.sum(axis=1)[:, None] - o - t[:, None] * d)
-    rounding = KU * dot(np.abs(n), terms(prims, k, weights, p)) + np.abs(slope) * bounds.own.t_error[at]
+    rounding = KU * dot(np.abs(n), terms(prims, k, weights, p)) + np.abs(slope) * own.t_error[at]
     share = np.clip(beyond / rounding, -1.0, 1.0)  # so that no pixel outweighs those that are within their bounds
     return np.where(np.isnan(share), 0.0, share)  # a position that is no number fails its own check
 
@@ -135,15 +134,15 @@ FIT_ROUNDING = 2.0**-20  # far above the residual of a column that a float64 lea
 
 
 @check(of=(CANDIDATE,), scope="window")
-def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> Found | None:
+def check_t_bias(judge: Judge) -> Found | None:
     """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
     None if t is not given, or if the candidate rounds rays or geometry itself.
     """
-    answer = pair.answer
+    answer = judge.answer
     if answer.hits_only or answer.own_camera or answer.own_geometry:
         return None
-    roundings, z, groups = fitted_factor(packed, pair, bounds, prims)
+    roundings, z, groups = fitted_factor(judge)
     words = f"t is off by {roundings:+.1f} of its roundings on average, z {z:.1f} of {groups} primitives"
     if groups < MIN_GROUPS:
         return 0.0, f"{groups} primitives, too few to tell"
@@ -156,7 +155,7 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) 
 
 
 @without_float_warnings
-def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> tuple[float, float, int]:
+def fitted_factor(judge: Judge) -> tuple[float, float, int]:
     """Fit one factor 1 + u r on t by least squares over pixels, weighted by their bounds.
 
     Returns r, the z of its sums over primitives, whose signs are random without such a factor, and the number of
@@ -165,16 +164,16 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array)
     A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s
     changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
     """
-    answer, own = pair.answer, bounds.own
+    answer, own, prims = judge.answer, judge.bounds.own, judge.prim
     bound = own.t_error + answer.t_rounding
     error = (answer.t - own.t) / bound
-    shift = own.n / (dot(own.n, pair.rays.d.astype(np.float64)) * bound)[:, None]
+    shift = own.n / (dot(own.n, judge.d) * bound)[:, None]
     near = (prims >= 0) & answer.hit & (np.abs(error) <= 1.0) & np.isfinite(bound)
     rows = np.flatnonzero(near & np.isfinite(shift).all(axis=1))
     rows = rows[:: max(1, -(-len(rows) // BIASED_PIXELS))]
     error, shift, prim = error[rows], shift[rows], prims[rows]
     factor = np.finfo(answer.precision).eps / 2.0 * own.t[rows] / bound[rows]
-    of_shape = packed.shape_of(prim)
+    of_shape = judge.model.packed.shape_of(prim)
     for shape in np.unique(of_shape):
         here = np.flatnonzero(of_shape == shape)
         both = np.column_stack([error[here], factor[here]])

@@ -37,7 +37,7 @@ def check_camera(scene: Scene) -> Found:
         "near": _relative(ours.t_min, expected.t_min) / rounding,
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
-    return worst_pixel(shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
+    return worst_pixel(shares, scene, (seen | (ours.t_max >= 0.0)) & ~rim)
 
 
 def _on_rim(scene: Scene, x: Array, y: Array) -> Array:
@@ -74,7 +74,7 @@ def check_sensor(scene: Scene, result: ReferenceResult) -> Found:
     if getattr(scene.camera, "far", None) is not None:
         end = along + t_max
         shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
-    return worst_pixel(shares, np.ones(len(d), bool), scene)
+    return worst_pixel(shares, scene)
 
 
 @without_float_warnings

@@ -16,7 +16,6 @@ from caster.rendering.casting import Culling
 from caster.rendering.hits import cast_any_lengths, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
-from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
 from mitsuba_ref.error_model.intersections import Array, without_overflow_warnings
 from mitsuba_ref.hard.rays import ALL_AIMS, RayBatch, Targets, aimed_rays
@@ -104,14 +103,14 @@ def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> li
 
 
 def _verdict(answer: ExactAnswer, t: float, prim: int, bound: float) -> RayVerdict:
-    if answer.t is None and prim < 0:
-        return RayVerdict(answer, bound)
-    if answer.t is None or prim != answer.prim:
+    if prim != answer.prim:
         kind = "missed" if prim < 0 else "phantom" if answer.t is None else "prim"
         return RayVerdict(answer, bound, np.inf, kind, _in_words(answer, t, prim))
+    if answer.t is None:
+        return RayVerdict(answer, bound)
     off = float(answer.t.off(t))
     largest = t >= LARGEST_FLOAT64
-    ratio = off / bound if 0.0 < bound < np.inf and not largest else 0.0
+    ratio = 0.0 if largest else off / bound
     if off <= bound or (largest and answer.t > LARGEST_FLOAT64):
         return RayVerdict(answer, bound, ratio)
     ratio = max(ratio, float(np.nextafter(1.0, 2.0))) if off == off else np.inf
@@ -157,16 +156,15 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
         return 0.0, "no primitive to aim at"
     rays = rays_at_edges(subject)
     verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
-    ratios = ratio_of(np.array([each.ratio for each in verdicts]), np.ones(1))
-    bad, words = np.flatnonzero(ratios > 1.0), f"{len(ratios)} aimed rays"
-    if len(bad):
+    bad, words = [i for i, each in enumerate(verdicts) if each.kind], f"{len(verdicts)} aimed rays"
+    if bad:
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
         words = f"{len(bad)} of {words}, first from {o} along {d}: {verdicts[bad[0]].text}"
     for i in bad[:REPRODUCERS]:
         wrong_rays.append(
             AimedFailure(verdicts[i].text, scene_of_ray(scene, rays.o[i], rays.d[i], float(rays.t_max[i])))
         )
-    return float(ratios.max()), words
+    return max(each.ratio for each in verdicts), words
 
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
@@ -187,7 +185,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     others = int(SHARE_OF_OTHERS * count)
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
-    own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
+    own = RayBatch(*film[:4]).taken(rows)
     targets.fit_frame()
     rays = concatenated(own, aimed_rays(targets, count, (*ALL_AIMS, from_eye)))
     first = cast_by_culling(subject.packed, rays, "bvh")

@@ -73,7 +73,7 @@ def _differs(ours: Aovs, others: Aovs) -> Array:
 
 
 def _worst(scene: Scene, what: str, differs: Array) -> Found:
-    return worst_pixel({what: np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
+    return worst_pixel({what: np.where(differs, np.inf, 0.0)}, scene)
 
 
 def _by_longer_rays(view: RayHits) -> RayHits:

@@ -13,7 +13,7 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.bounces import RAY_KINDS, Bounce
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import Array, Intersections, cross, dot, norm, unit
+from mitsuba_ref.error_model.intersections import Array, cross, dot, norm, unit
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.hard.rays import RayBatch
@@ -38,16 +38,15 @@ LEFT_OUT = 4.0 * U32
 @check(of=(OURS,))
 def check_secondary_rays(bounce: Bounce, scene: Scene) -> Found:
     """Each ray follows the law of its kind within the rounding of float32, and none is missing or too many."""
-    rays, prim = bounce.parents.rays, np.where(bounce.continues, bounce.parents.nearest.prim, -1)
-    at = intersections_at(
-        own_model(bounce.parents.packed), prim, (rays.o, rays.d), bounce.parents.nearest.t, KU_OURS, ours=True
-    )
-    return worst_share(_shares(bounce, scene, at, prim >= 0))
+    return worst_share(_shares(bounce, scene))
 
 
-def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: Array) -> Iterator[tuple[float, str]]:
-    """Shares of bounds, with what they are about. at: where the parents hit, if `hit`."""
+def _shares(bounce: Bounce, scene: Scene) -> Iterator[tuple[float, str]]:
+    """Shares of bounds, with what they are about."""
     rays, parents = bounce.rays, bounce.parents
+    kinds, prim = np.array(RAY_KINDS)[rays.kind], np.where(bounce.continues, parents.nearest.prim, -1)
+    lines, hit = (parents.rays.o, parents.rays.d), prim >= 0
+    at = intersections_at(own_model(parents.packed), prim, lines, parents.nearest.t, KU_OURS, ours=True)
     materials = [scene.material_of(shape) for shape in scene.shapes]
     material = np.array([*(each.type for each in materials), ""])[np.where(hit, parents.shape_id, -1)]
     ior = np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0])[parents.shape_id]
@@ -61,7 +60,7 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: Array) -> Iter
     passes = np.sqrt(np.maximum(squared - error - 4.0 * ior * ior * LEFT_OUT, 0.0)) > n_error + LEFT_OUT
 
     def counted(kind: str, may: Array, must: Array) -> tuple[float, str]:
-        count = np.bincount(rays.parent[rays.kind == RAY_KINDS.index(kind)], minlength=len(hit))
+        count = np.bincount(rays.parent[kinds == kind], minlength=len(hit))
         return _worst(np.where((count > may) | (count < must), np.inf, 0.0), f"hits with missing or extra {kind} rays")
 
     shiny, glass = np.isin(material, ("mirror", "glass")), material == "glass"
@@ -70,7 +69,7 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: Array) -> Iter
         ("refracted", 1.0, eta, glass & (squared > -error), glass & seen & passes),
     ):
         yield counted(kind, may, must)
-        mine = rays.kind == RAY_KINDS.index(kind)
+        mine = kinds == kind
         of, leaving = rays.parent[mine], rays.d[mine]
         # The law: index n x d = n x d', where d' has been rounded to float32, on the side that the kind goes to.
         off = norm(cross(n[of], index[of, None] * d[of] - leaving))
@@ -78,7 +77,7 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: Array) -> Iter
         bound = U32 + (1.0 + index[of]) * n_error[of] + 4.0 * KU_OURS
         yield _worst(np.where(away > -bound, off / bound, np.inf), f"the law of {kind} rays")
 
-    lights, mine = [light for light in scene.lights if light.type != "ambient"], rays.kind == RAY_KINDS.index("shadow")
+    lights, mine = [light for light in scene.lights if light.type != "ambient"], kinds == "shadow"
     nearest, lit = np.full(int(mine.sum()), np.inf), np.zeros(len(hit), int)
     for light in lights:
         way, reach = direction_to_light(light, rays.o[mine])
@@ -136,9 +135,6 @@ class LeavingRays(NamedTuple):
     scene: Scene
     packed: Packed
     rays: Departures
-
-    def at(self, origins: Array) -> "LeavingRays":
-        return self._replace(rays=self.rays._replace(q=origins))
 
 
 def leaving_rays(
@@ -223,8 +219,9 @@ def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = s
     if rule == MITSUBA:
         return reference_rays(leaving, send)
     place = RULES[rule] if isinstance(rule, str) else rule
+    rays = leaving.rays
     with np.errstate(all="ignore"):
-        return leaving.at(as_float32(place(leaving.rays.p, leaving.rays.n, leaving.rays.w)))
+        return leaving._replace(rays=rays._replace(q=as_float32(place(rays.p, rays.n, rays.w))))
 
 
 def reference_rays(
@@ -250,11 +247,9 @@ def reference_rays(
 
 # ---- the checks of origins
 
-WhyWrong = list[AimedFailure]
-
 
 @check(of=(OURS,))
-def check_spawned_origins(bounce: Bounce, wrong_rays: WhyWrong) -> Found:
+def check_spawned_origins(bounce: Bounce, wrong_rays: list[AimedFailure]) -> Found:
     """No ray starts beyond another surface, on the wrong side, or where it meets its own surface again.
 
     The parent of a failing ray is appended to `wrong_rays` as a scene of one ray.
@@ -267,7 +262,7 @@ def check_spawned_origins(bounce: Bounce, wrong_rays: WhyWrong) -> Found:
 
 
 @check(of=(OURS,))
-def check_reference_origins(bounce: Bounce, send: SendRequest, timeout: float, wrong_rays: WhyWrong) -> Found:
+def check_reference_origins(bounce: Bounce, send: SendRequest, timeout: float, wrong_rays: list[AimedFailure]) -> Found:
     """Count the errors of Mitsuba's spawn_ray at the same hits; they do not fail the scene.
 
     The parent of the first one is appended to `wrong_rays` as a scene of one ray.
@@ -282,9 +277,10 @@ def check_reference_origins(bounce: Bounce, send: SendRequest, timeout: float, w
     return 0.0, _kept(found, found.wrong, "spawn-ray", wrong_rays)
 
 
-def _kept(found: OriginFindings, rows: Array, label: str, wrong_rays: WhyWrong) -> str:
+def _kept(found: OriginFindings, rows: Array, label: str, wrong_rays: list[AimedFailure]) -> str:
     """The counts with an example, the first of the rows, if any, which is appended to `wrong_rays`."""
-    for row in rows[:1].tolist():
-        wrong_rays.append(AimedFailure(found.example(row), found.scene_of(row), label))
-        return f"{found.text()}; {found.example(row)}"
-    return found.text()
+    if not len(rows):
+        return found.text()
+    example = found.example(rows[0])
+    wrong_rays.append(AimedFailure(example, found.scene_of(rows[0]), label))
+    return f"{found.text()}; {example}"

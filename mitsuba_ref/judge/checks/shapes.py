@@ -1,18 +1,16 @@
 """Checks of shapes by independent computations: placement, packed numbers, material; which shapes are judged."""
 
 from collections.abc import Callable, Iterator
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from caster.description.fields import Shape
 from caster.geometry.packing import Packed, packed
 from caster.scene.model import Diffuse, Scene
-from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.intersections import without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
+from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import packed_float32
@@ -27,26 +25,8 @@ def check_placement(scene: Scene) -> Found:
     return worst_share(shares, "no shape has a to_world")
 
 
-class Precision(NamedTuple):
-    """How numbers are rounded when a shape is packed."""
-
-    name: str  # of NumPy's type
-    packing: Callable[[Scene], Packed]
-
-
-PRECISIONS = (
-    Precision("float64", packed),  # for `render`
-    Precision("float32", packed_float32),  # for the comparison with the reference
-)
-
-
-def with_one_mesh(shape: Shape) -> Shape:
-    """A copy of the shape that generates its mesh once: ten million triangles take two seconds."""
-    if not hasattr(shape, "mesh"):
-        return shape
-    copy = shape.model_copy()
-    object.__setattr__(copy, "mesh", cache(shape.mesh))  # a description takes no attribute otherwise
-    return copy
+# How a scene is packed, by the type that its numbers are rounded to: for `render`, and for the comparison.
+PACKINGS: dict[str, Callable[[Scene], Packed]] = {"float64": packed, "float32": packed_float32}
 
 
 @check()
@@ -57,14 +37,12 @@ def check_geometry(scene: Scene) -> Found:
 
 def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
     for number, (name, shape) in enumerate(zip(scene.shape_names(), scene.shapes, strict=True)):
-        described = with_one_mesh(shape)
-        for precision in PRECISIONS:
-            part = precision.packing(scene).parts[number]
-            for field in unrounded_arrays(part, precision.name):
-                yield np.inf, f"{field} of {name} not rounded to {precision.name}"
-            for claim in reference_of(shape).expected(described, part):
-                share = _packing_error_ratio(claim, np.finfo(precision.name))
-                yield share, f"{claim.what} of {name} ({precision.name})"
+        for precision, packing in PACKINGS.items():
+            part = packing(scene).parts[number]
+            for field in unrounded_arrays(part, precision):
+                yield np.inf, f"{field} of {name} not rounded to {precision}"
+            for claim in reference_of(shape).expected(shape, part):
+                yield _packing_error_ratio(claim, np.finfo(precision)), f"{claim.what} of {name} ({precision})"
 
 
 @without_overflow_warnings
@@ -88,8 +66,7 @@ def _packing_error_ratio(claim: ExpectedNumbers, numbers: np.finfo[Any]) -> floa
     error = np.abs(claim.packed - claim.expected)
     size = np.maximum(claim.size, float(numbers.tiny)) if claim.rounded else claim.size
     bound = TRANSFORM_ROUNDINGS * float(numbers.eps) / 2.0 * np.broadcast_to(size, error.shape)
-    undefined = np.isposinf(bound)  # the direction of normals that cancel
-    return float(np.where(undefined, 0.0, error_over_bound(error, bound)).max(initial=0.0))
+    return float(ratio_to_bound(error, bound).max(initial=0.0))  # the direction of normals that cancel has no bound
 
 
 @check(of=(OURS,))

@@ -1,4 +1,4 @@
-"""Checks of our caster beyond the judged film (`validate --thorough`, `fuzz`): routes, scales, brute force."""
+"""Checks of our caster beyond the judged film (`validate --thorough`, `fuzz`): routes and scales."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -54,7 +54,10 @@ def _result(differences: Iterable[str], looked_at: str) -> Found:
 
 @check(of=(OURS,), camera=True, thorough=True)
 def check_routes(scene: Scene) -> Found:
-    """Every public route to a pixel has to give the bits of the whole image: AOVs, threads, dtypes, crops, `cast`."""
+    """Every public route to a pixel has to give the bits of the whole image.
+
+    Routes: AOVs, threads, dtypes, crops, testing every primitive, `cast`.
+    """
     return _result(route_differences(scene), f"films of {SIDE} x {SIDE} and {WIDE[0]} x {WIDE[1]} pixels")
 
 
@@ -67,6 +70,7 @@ def route_differences(scene: Scene) -> Iterator[str]:
         for names, threads in zip(SETS, cycle((3, 2, 1)), strict=False):
             expected = {each: image[each] for each in names}
             yield from different_bits(expected, render(film, names, threads=threads), f"{names}, {threads} threads")
+    yield from different_bits(render(small, ALL, culling="brute-force"), whole, "planned culling")
     for x0, y0, x1, y1 in CROPS:
         part = small.with_film(crop=(x0, y0, x1, y1))
         cut = {each: whole[each][y0:y1, x0:x1] for each in ALL}
@@ -76,53 +80,23 @@ def route_differences(scene: Scene) -> Iterator[str]:
         yield from different_bits(rounded, render(part, ALL, dtype=np.float32), "float32")
         traced = evaluate(trace_film(part, threads=1), ALL, film_window(part))
         yield from different_bits(cut, traced, "rays of a crop")
-    o, d, t_min, t_max = camera_rays(small)[:4]
-    if (t_max >= t_min).all():
-        yield from _cast_differences(small, {name: aov_rows(whole, name) for name in ALL}, (o, d), (t_min, t_max))
+    rays = camera_rays(small)
+    if (rays.t_max >= rays.t_min).all():
+        yield from _cast_differences(small, {name: aov_rows(whole, name) for name in ALL}, rays)
 
 
-def _cast_differences(
-    scene: Scene, image: Arrays, lines: tuple[Array, Array], limits: tuple[Array, Array]
-) -> Iterator[str]:
-    """Between the image and its rays cast one by one, and between limits for all rays and for each."""
-    o, d = lines
-    hits = cast(scene, o, d, t_min=limits[0], t_max=limits[1])
+def _cast_differences(scene: Scene, image: Arrays, rays: Any) -> Iterator[str]:
+    """Between the image and its rays cast by `cast` and `occluded`."""
+    o, d, t_min, t_max = rays[:4]
+    hits = cast(scene, o, d, t_min=t_min, t_max=t_max)
     found = {
         name: getattr(hits, name) for name in ("normal", "shape_id", "prim_id", "position", "shading_normal", "uv")
     }
     found["depth"] = hits.t * np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
     for arrays in (found, hits.surfaces):
         yield from different_bits({name: image[name] for name in arrays}, arrays, "cast")
-    first = np.sort(hits.t[np.isfinite(hits.t)])
-    if not len(first):
-        return
-    t = float(first[len(first) // 2])
-    limits_of_all: list[tuple[Any, Any]] = [
-        (0.0, np.inf),
-        (0.0, t),
-        (0.0, np.nextafter(t, 0.0)),
-        (t, np.inf),
-        (0.9 * t, 1.1 * t),
-    ]
-    of_all = [cast(scene, o, d, t_min=low, t_max=high).t for low, high in limits_of_all]
-    lows, highs = (np.resize(column, len(o)) for column in np.array(limits_of_all).T)
-    of_each = np.choose(np.arange(len(o)) % len(of_all), of_all)
-    t_of_each = cast(scene, o, d, t_min=lows, t_max=highs).t
-    yield from different_bits({"t": of_each}, {"t": t_of_each}, "t_min and t_max of each ray")
-    for (low, high), each in zip([*limits_of_all, (lows, highs)], [*of_all, of_each], strict=True):
-        blocked = occluded(scene, o, d, high, t_min=low)
-        yield from different_bits({"t": np.isfinite(each)}, {"t": blocked}, f"occluded, t_min {low}, t_max {high}")
-
-
-# ---- brute force ----
-
-
-@check(of=(OURS,), camera=True, thorough=True)
-def check_brute_force(scene: Scene) -> Found:
-    """The planned culling of a film has to give the same bits as testing every primitive."""
-    small = _whole_film(scene, SIDE, SIDE)
-    found = different_bits(render(small, ALL, culling="brute-force"), render(small, ALL), "planned culling")
-    return _result(found, f"a film of {SIDE} x {SIDE} pixels")
+    blocked = occluded(scene, o, d, t_max, t_min=t_min)
+    yield from different_bits({"hit": np.isfinite(hits.t)}, {"hit": blocked}, "occluded")
 
 
 # ---- scaling ----
