@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from caster.kernels.nearest import KeepNearest, Rays, no_hits
-from caster.kernels.protocol import update_best
+from caster.kernels.nearest import Rays, no_hits
 from caster.kernels.raster.tile import (
     DX,
     DY,
@@ -115,8 +114,6 @@ def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they
             assert tile[int(UNCERTAIN) + 9] == float(unsure or near)
             changed = np.flatnonzero(tile != before)
             assert set(changed.tolist()) <= {int(at) + 9 for at in fields}
-            mode, best = KeepNearest(False), (held, held_error, 4, bool(unsure))
-            assert update_best(mode, best, 6, (t, error)) == (*expected[:2], int(expected[2]), bool(unsure or near))
 
 
 @pytest.mark.parametrize("new", [new_tile, new_lanes])
