@@ -206,15 +206,16 @@ class RayTiles(NamedTuple):
         parallel_for_pieces(begin, self.pieces, min(thread_count(threads), len(self.pieces)))
 
 
-def tiles_in_order(caster: TileCaster, count: int, threads: int | None) -> RayTiles:
+def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> Iterator[RayTiles]:
     """Rays of an array in their order."""
+    count = len(rays.t_min)
     workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
     tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
 
     def numbers(piece: Piece) -> np.ndarray:
         return filled_up(np.arange(*piece, dtype=np.int32), LANES)
 
-    return RayTiles(caster, even_pieces(0, count, tiles), numbers)
+    yield RayTiles(caster, even_pieces(0, count, tiles), numbers)
 
 
 def filled_up(numbers: np.ndarray, multiple: int) -> np.ndarray:

@@ -29,7 +29,6 @@ from caster.kernels.raster.tile import (
     load_rays,
     new_lanes,
     new_tile,
-    store_blocked,
     store_nearest,
     tile_rows,
     update_nearest,
@@ -79,10 +78,6 @@ def test_a_tile_takes_the_rays_it_is_given_and_gives_back_the_hit_of_each():
     assert np.array_equal(uncertain[kept], unsure)
     others = np.setdiff1d(np.arange(count), kept)
     assert (nearest.prim[others] == -1).all() and not uncertain[others].any()
-    blocked, uncertain = np.zeros((2, count), bool)
-    store_blocked(tile, numbers, blocked, uncertain)
-    assert np.array_equal(blocked[kept], prim >= 0) and np.array_equal(uncertain[kept], unsure & (prim < 0))
-    assert not blocked[others].any() and not uncertain[others].any()
 
 
 def met(rng, tile, shape=(HEIGHT, WIDTH)):
