@@ -178,19 +178,23 @@ def best_split_bin(counts: Any, bounds: Any) -> int:
     number = 0
     for b in range(BINS - 1, 0, -1):
         number += counts[b]
-        for c in range(3):
-            low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
-        costs[b - 1] = number * half_area(low, high)
+        costs[b - 1] = number * half_area_with_bin(low, high, bounds, b)
     low[:], high[:] = math.inf, -math.inf
     number, best, least = 0, 0, math.inf
     for b in range(BINS - 1):
         number += counts[b]
-        for c in range(3):
-            low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
-        cost = costs[b] + number * half_area(low, high)
+        cost = costs[b] + number * half_area_with_bin(low, high, bounds, b)
         if cost < least:
             best, least = b, cost
     return best
+
+
+@inlined
+def half_area_with_bin(low: Any, high: Any, bounds: Any, b: int) -> float:
+    """Half the surface of a box, which is extended by a bin."""
+    for c in range(3):
+        low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
+    return half_area(low, high)
 
 
 @jit
