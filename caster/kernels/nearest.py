@@ -31,6 +31,10 @@ class Rays(NamedTuple):
     t_min: np.ndarray  # (n,) float64
     t_max: np.ndarray  # (n,) float64; < 0: there is no ray
 
+    def take(self, rows: Any) -> "Rays":
+        """Some of the rays, by an index of arrays."""
+        return Rays(*(a[rows] for a in self))
+
 
 class Nearest(NamedTuple):
     """The first hit of each ray, exactly; t is rounded to float64."""

@@ -29,7 +29,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     nearest, uncertain = _cast(packed, rays, tiles, threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
-        exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
+        exact = exact_nearest(packed, rays.take(rows), threads, trees=trees)
         for everywhere, here in zip(nearest, exact, strict=True):
             everywhere[rows] = here
     return nearest
@@ -52,7 +52,7 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarr
     blocked = hits.prim >= 0
     rows = np.flatnonzero(uncertain & ~blocked)
     if len(rows):
-        blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
+        blocked[rows] = exact_nearest(packed, rays.take(rows), threads).prim >= 0
     return blocked
 
 

@@ -41,15 +41,9 @@ class RayAxis(NamedTuple):
 
 
 @inlined
-def box_padding(tree: Any, o: Vec3) -> float:
-    """The margin of boxes for rays from o."""
-    return tree.reach * (max_norm(o) + tree.extent)
-
-
-@inlined
 def ray_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> tuple[RayAxis, RayAxis, RayAxis]:
     """Slab-test constants of rays whose origins and directions lie within these bounds."""
-    pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
+    pad = tree.reach * (max(max_norm(origins[0]), max_norm(origins[1])) + tree.extent)
     return (
         ray_axis(tree, origins, directions, pad, 0),
         ray_axis(tree, origins, directions, pad, 1),
