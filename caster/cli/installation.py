@@ -79,8 +79,7 @@ def warm(paths: Sequence[str], as_json: bool) -> int:
         print("kernels: none, as Numba is switched off or not installed")
         return OK
     report_refused_cache()
-    scenes = [(path, load_scene(path)) for path in paths] if paths else list(warm_up.warm_up_scenes())
-    done = warm_up.warm_up(scenes, lambda name: None)
+    done = warm_up.warm_up([load_scene(path) for path in paths] or warm_up.warm_up_scenes())
     text = f"kernels: {done.compiled} compiled, {done.loaded} loaded from the cache"
     print(json.dumps(done._asdict()) if as_json else text)
     return OK

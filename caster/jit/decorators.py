@@ -21,15 +21,7 @@ import numpy as np
 from caster.jit import machine_code
 from caster.jit.arguments import INTEGER, REAL, describe, forms_of, key_text, tuple_classes
 from caster.jit.code_digest import code_digest, compiler_digest
-from caster.jit.kernel_cache import (
-    COMPILED,
-    INSTALLED,
-    cache_folder,
-    claim,
-    sources_stamp,
-    write_atomically,
-    write_sealed,
-)
+from caster.jit.kernel_cache import COMPILED, INSTALLED, cache_folder, claim, sources_stamp, write_sealed
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -49,7 +41,6 @@ class CompilationLog:
     def __init__(self) -> None:
         self.compiled: list[str] = []
         self.loaded: list[str] = []  # from the cache
-        self.slowly: list[str] = []  # called through Numba, which is slow to load and to call
         self.compiling: Callable[[str], None] = lambda name: None
 
 
@@ -128,13 +119,7 @@ class Kernel:
                         # another process may have compiled it meanwhile
                         code = self._found(path, key) or self._made(path, key, args)
                 self._codes[known] = code
-            code = self._codes.get(known)
-        if code is not None:
-            return self
-        name = self._named(tuple_classes(key))
-        if name not in COMPILATION_LOG.slowly:
-            COMPILATION_LOG.slowly.append(name)
-        return self._python_dispatcher
+            return self if self._codes.get(known) is not None else self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
         """Call the function as plain Python, with all that it calls."""
@@ -221,11 +206,10 @@ class SharedCompilation:
 
     def __init__(self) -> None:
         self.work: Callable[[], None] | None = None
-        self.begun = False
-        self.children: list[int] = []  # process numbers
+        self.children: list[int] = []  # process numbers, the last one 0 in a child
 
     def run(self, work: Callable[[], None]) -> None:
-        self.work, self.begun, self.children = work, False, []
+        self.work, self.children = work, []
         try:
             work()
         except BaseException:
@@ -239,25 +223,24 @@ class SharedCompilation:
 
     def begin(self) -> None:
         """Start processes that do the same work and leave out kernels that others have claimed."""
-        if self.work is None or self.begun:
+        if self.work is None or self.children:
             return
-        self.begun = True
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         for _ in range(min(cores, MAX_PROCESSES) - 1):
-            child = os.fork()
-            if child == 0:
-                self._run_in_child(self.work)
-            self.children.append(child)
+            self.children.append(os.fork())
+            if self.children[-1] == 0:
+                _run_in_child(self.work)
 
-    def _run_in_child(self, work: Callable[[], None]) -> None:
-        try:
-            nowhere = os.open(os.devnull, os.O_RDWR)
-            for stream in range(3):
-                os.dup2(nowhere, stream)
-            COMPILATION_LOG.compiling = lambda name: None
-            work()
-        finally:
-            os._exit(0)
+
+def _run_in_child(work: Callable[[], None]) -> None:
+    try:
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in range(3):
+            os.dup2(nowhere, stream)
+        COMPILATION_LOG.compiling = lambda name: None
+        work()
+    finally:
+        os._exit(0)
 
 
 _SHARED = SharedCompilation()
@@ -275,7 +258,7 @@ def compile_ahead(about: str, work: Callable[[], None]) -> None:
     done = cache_folder() / f"{hashlib.sha256('|'.join(words).encode()).hexdigest()[:32]}.done"
     if not done.exists():
         _SHARED.run(work)
-        write_atomically(done, about.encode())
+        write_sealed(done, about.encode())
 
 
 @contextlib.contextmanager

@@ -99,13 +99,13 @@ def claim(path: Path, *, wait: bool) -> Iterator[bool]:
     try:
         import fcntl
 
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        file = lock.open("a")
     except (OSError, ImportError):
         yield True
         return
-    try:
+    with file:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             yield False
             return
@@ -113,28 +113,24 @@ def claim(path: Path, *, wait: bool) -> Iterator[bool]:
             yield True
         finally:
             lock.unlink(missing_ok=True)
-    finally:
-        os.close(handle)
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file that other processes see whole or not at all; errors such as a full disk are ignored."""
+def write_sealed(path: Path, data: bytes) -> None:
+    """Write a file after a line with the SHA-256 of its name and content.
+
+    Other processes see it whole or not at all. OSErrors, as of a full disk, are ignored.
+    """
     with contextlib.suppress(OSError):
         handle, name = tempfile.mkstemp(dir=path.parent)
         try:
             with open(handle, "wb") as file:
-                file.write(data)
+                file.write(_seal(path, data) + b"\n" + data)
                 file.flush()
                 os.fsync(handle)  # or a name could outlive a power cut without its content
             os.replace(name, path)
         except OSError:
             os.unlink(name)
             raise
-
-
-def write_sealed(path: Path, data: bytes) -> None:
-    """Write a file after a line with the SHA-256 of its name and content; OSErrors are ignored."""
-    write_atomically(path, _seal(path, data) + b"\n" + data)
 
 
 def read_sealed(path: Path) -> bytes:

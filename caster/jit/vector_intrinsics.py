@@ -182,19 +182,9 @@ def _gather_corners(builder: Builder, rows: Any, faces: Any, lanes: Any, numbers
     for corner in range(3):
         vertices = (builder.load(builder.gep(faces.data, [builder.add(at, INT64(corner))])) for at in first)
         starts = [builder.mul(builder.sext(vertex, INT64), INT64(3)) for vertex in vertices]
-        for axis, column in enumerate(_rows_of_three(builder, rows.data, starts)):
+        for axis in range(3):
+            column = ir.Constant(REALS, ir.Undefined)
+            for n, start in enumerate(starts):
+                number = builder.load(builder.gep(rows.data, [builder.add(start, INT64(axis))]))
+                column = builder.insert_element(column, number, INT32(n))
             _store(builder, column, lanes, builder.add(into, builder.mul(step, INT64(3 * corner + axis))))
-
-
-def _rows_of_three(builder: Builder, data: Any, starts: list[Any]) -> list[Any]:
-    """The columns x, y, z of rows of three numbers that begin at `starts`."""
-    two = ir.VectorType(REAL, 2).as_pointer()
-    joined = [builder.load(builder.bitcast(builder.gep(data, [start]), two), align=8) for start in starts]
-    while len(joined) > 1:  # concatenate pairs
-        wide = range(2 * joined[0].type.count)
-        joined = [_picked(builder, a, wide, b) for a, b in zip(joined[::2], joined[1::2], strict=True)]
-    z = ir.Constant(REALS, ir.Undefined)
-    for n, start in enumerate(starts):
-        last = builder.load(builder.gep(data, [builder.add(start, INT64(2))]))
-        z = builder.insert_element(z, last, INT32(n))
-    return [*(_picked(builder, joined[0], range(axis, 2 * LANES, 2)) for axis in (0, 1)), z]

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.jit.decorators import implement, inlined, jit
+from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, as_float, compare
-from caster.kernels.math.vec import TINY, max_norm, row
+from caster.kernels.math.vec import MISS, TINY, max_norm, row
 from caster.kernels.protocol import (
     Vec3,
     camera_ray,
@@ -17,7 +17,6 @@ from caster.kernels.protocol import (
     prepare,
     same_geometry,
     surely_misses,
-    update_best,
 )
 
 Ray = tuple[Vec3, Vec3, float, float]
@@ -31,6 +30,10 @@ class Rays(NamedTuple):
     d: np.ndarray  # (n, 3) float64
     t_min: np.ndarray  # (n,) float64
     t_max: np.ndarray  # (n,) float64; < 0: there is no ray
+
+    def take(self, rows: Any) -> "Rays":
+        """Some of the rays, by an index of arrays."""
+        return Rays(*(a[rows] for a in self))
 
 
 class Nearest(NamedTuple):
@@ -91,29 +94,30 @@ def find_invalid_ray(o: Any, d: Any, start: int, stop: int) -> int:
 # ---- nearest hits ----
 
 
-class KeepNearest(NamedTuple):
-    """Mode of a traversal: keep the nearest hit, and mark it where float64 cannot decide."""
-
-    any_hit: bool  # any certain hit will do
-
-
 class KeepFirst(NamedTuple):
-    """Mode of a traversal: keep the hit that is first exactly; t and error stay those of the hit by float64."""
+    """Mode of a traversal: find the primitive that a ray hits first exactly."""
 
-    prims: Any
     ray: Ray
+    prims: Any
+    reach: float  # the hit by float64 is not behind this t
 
 
-Best = tuple[float, float, int, bool]
-"""(t, error, number of the primitive within its kind or -1 for the earlier hit, whether that is uncertain)"""
+@generic_inlined
+def try_primitive(mode: Any, prims: Any, k: int, best: int) -> Any:
+    """The best of a mode's rays after primitive k; best: a number of a primitive, or -1."""
 
 
-@implement(update_best, KeepNearest)
-def _update_nearest(mode: Any, best: Best, k: int, hit: tuple[float, float]) -> Best:
-    t, error = any_hit_result(hit[0], hit[1], mode.any_hit)
-    ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + error
-    uncertain = best[3] | (abs(ahead) <= margin)
-    return (t, error, k, uncertain) if ahead > margin else (best[0], best[1], best[2], uncertain)
+@generic_inlined
+def reach(mode: Any) -> Any:
+    """The t behind which no ray of a mode has a hit that counts."""
+
+
+@jit
+def hit_by_float64(prims: Any, k: int, ray: Ray) -> tuple[float, float]:
+    """The result of `intersect` for a ray and primitive k."""
+    o, d, t_min, t_max = ray
+    pre = prepare(prims, load(prims, k), o)
+    return MISS if surely_misses(prims, pre, d) else intersect(prims, pre, d, t_min, t_max)
 
 
 # For any-hit rays, a certain hit counts as nearer than all others, which ends the search.
@@ -127,11 +131,17 @@ def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]
     return ANY_HIT_T if sure else t, 0.0 if sure else error
 
 
-@implement(update_best, KeepFirst)
-def _update_first(mode: Any, best: Best, k: int, hit: tuple[float, float]) -> Best:
-    if hit[0] < math.inf and hit[0] - hit[1] <= best[0] + best[1]:
-        return best[0], best[1], first_of(mode.prims, mode.ray, k, hit[1] < math.inf, best[2]), False
+@implement(try_primitive, KeepFirst)
+def _try_first(mode: Any, prims: Any, k: int, best: int) -> int:
+    t, error = hit_by_float64(prims, k, mode.ray)
+    if t < math.inf and t - error <= mode.reach:
+        return first_of(prims, mode.ray, k, error < math.inf, best)
     return best
+
+
+@implement(reach, KeepFirst)
+def _reach_of_first(mode: Any) -> float:
+    return mode.reach
 
 
 @jit
@@ -160,14 +170,12 @@ def find_first(prims: Any, count: int, rays: Any, sketch: Any, found: Any, start
     sketch: the hits by float64, behind which nothing is looked for. found: misses before.
     """
     for i in range(start, stop):
-        o, d, t_min, t_max = ray_at(rays, i)
-        if t_min < t_max:  # else nothing lies between, and exact arithmetic has no inf but as t_max
-            mode, best = KeepFirst(prims, (o, d, t_min, t_max)), (sketch.t[i], sketch.error[i], -1, False)
+        ray = ray_at(rays, i)
+        if ray[2] < ray[3]:  # else nothing lies between, and exact arithmetic has no inf but as t_max
+            mode, first = KeepFirst(ray, prims, sketch.t[i] + sketch.error[i]), -1
             for k in range(count):
-                pre = prepare(prims, load(prims, k), o)
-                if not surely_misses(prims, pre, d):
-                    best = update_best(mode, best, k, intersect(prims, pre, d, t_min, t_max))
-            store_first(mode, best[2], found, i)
+                first = try_primitive(mode, prims, k, first)
+            store_first(mode, first, found, i)
 
 
 @jit
@@ -184,7 +192,7 @@ def store_first(mode: Any, k: int, found: Any, i: int) -> None:
 def intersect_surely(prims: Any, k: int, ray: Ray) -> tuple[float, float]:
     """The result of protocol.intersect with the exact t, inf for a miss, where the error is infinite."""
     o, d, t_min, t_max = ray
-    t, error = intersect(prims, prepare(prims, load(prims, k), o), d, t_min, t_max)
+    t, error = hit_by_float64(prims, k, ray)
     if error == math.inf:
         root = exact_intersect(prims, k, o, d, t_min, t_max)
         t = as_float(root) if root.hit else math.inf

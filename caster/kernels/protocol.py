@@ -54,11 +54,6 @@ def exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: f
     """The exact hit of a ray on primitive k: an exact.numbers.Root."""
 
 
-@generic_inlined
-def update_best(mode: Any, best: Any, k: int, hit: Any) -> Any:
-    """The best of a ray after the result `hit` of `intersect` for primitive k."""
-
-
 @optional(generic_inlined)
 def prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
     """Prefetch the arrays that `load` reads for primitive k; referred: those that its numbers refer to."""

@@ -4,7 +4,6 @@ Also the fans of a light or point, and the projections of trees by them (caster/
 """
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -38,12 +37,10 @@ from caster.kernels.bvh.fans import (
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.kernels.triangles import Triangles
-from caster.rendering.threads import parallel_for, thread_count
+from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 
 PARALLEL_SUBTREES = 16  # one thread builds the top of a tree; these subtrees are built in parallel
 PARALLEL_MIN_PRIMITIVES = 20_000  # fewer are built faster by one thread
-
-Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links
 
 
 def bvh_of(kind: Kind) -> Tree:
@@ -79,11 +76,7 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
     center, unit = (x, y, z), _unit(least, largest, np.array([x, y, z]))
     boxes, order = np.empty((count, 6), np.float32), np.arange(count, dtype=np.int32)
     quantize_boxes(low, high, center, unit, boxes, 0, count)
-    nodes = (
-        _build_run(boxes, order, 0, count, LEAF_SIZE)
-        if count < PARALLEL_MIN_PRIMITIVES
-        else _build_parallel(boxes, order, threads)
-    )
+    nodes = _build_binary(boxes, order, threads)
     # collapse them into nodes of CHILDREN, of which there are at most as many as inner binary nodes
     capacity = max(1, int(np.count_nonzero(nodes[1][:, 1] < 0)))
     wide_boxes, links = np.empty((capacity, 6, CHILDREN), np.float32), np.empty((capacity, CHILDREN), np.int32)
@@ -102,45 +95,22 @@ def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:
     return 2.0 ** min(max(math.frexp(half)[1], -1021), 1023) if half < math.inf else 2.0**1023
 
 
-def _build_run(boxes: np.ndarray, order: np.ndarray, start: int, stop: int, enough: int) -> Nodes:
-    """Binary nodes over order[start:stop], numbered from 0."""
-    capacity = 2 * (stop - start)  # a tree of n leaves has n - 1 inner nodes
-    node_boxes, links = np.empty((capacity, 6), np.float32), np.empty((capacity, 2), np.int32)
-    nodes = build_binary(boxes, order, start, stop, enough, node_boxes, links)
-    return node_boxes[:nodes].copy(), links[:nodes].copy()
+def _build_binary(boxes: np.ndarray, order: np.ndarray, threads: int) -> tuple[np.ndarray, np.ndarray]:
+    """(boxes, links) of binary nodes over all of `order`: the top by this thread, its subtrees in parallel."""
+    count = len(order)
+    node_boxes, links = np.empty((2 * count, 6), np.float32), np.zeros((2 * count, 2), np.int32)
+    enough = LEAF_SIZE if count < PARALLEL_MIN_PRIMITIVES else count // PARALLEL_SUBTREES
+    top = build_binary(boxes, order, 0, count, enough, node_boxes, links, 0, 1)
+    ends = np.flatnonzero(links[:top, 1] > LEAF_SIZE)
+    room = 2 * links[ends, 1] - 2  # nodes below the root of a tree of so many leaves
+    parts = np.column_stack([ends, links[ends], top + np.cumsum(room) - room]).tolist()
 
+    def build(part: list[int]) -> None:
+        node, start, number, free = part
+        build_binary(boxes, order, start, start + number, LEAF_SIZE, node_boxes, links, node, free)
 
-def _build_parallel(boxes: np.ndarray, order: np.ndarray, threads: int) -> Nodes:
-    """Binary nodes over all of `order`; subtrees are built in parallel."""
-    top_boxes, top_links = _build_run(boxes, order, 0, len(order), len(order) // PARALLEL_SUBTREES)
-    ends = np.flatnonzero(top_links[:, 1] > 0)
-
-    def part(node: int) -> Nodes:
-        start, number = top_links[node].tolist()
-        return _build_run(boxes, order, start, start + number, LEAF_SIZE)
-
-    with ThreadPoolExecutor(threads) as pool:
-        parts = list(pool.map(part, ends.tolist()))
-    return _join_subtrees(top_boxes, top_links, dict(zip(ends.tolist(), parts, strict=True)))
-
-
-def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int, Nodes]) -> Nodes:
-    """Replace the leaves of the top by their subtrees."""
-    place, at = np.empty(len(top_links), np.int64), 0
-    for node in range(len(top_links)):
-        place[node] = at
-        at += len(parts[node][1]) if node in parts else 1
-    boxes, links = np.empty((at, 6), np.float32), np.empty((at, 2), np.int32)
-    for node in range(len(top_links)):
-        start = place[node]
-        if node in parts:
-            part_boxes, part_links = parts[node]
-            stop = start + len(part_links)
-            boxes[start:stop], links[start:stop] = part_boxes, part_links
-            links[start:stop, 0] += np.where(part_links[:, 1] < 0, start, 0).astype(np.int32)
-        else:
-            boxes[start], links[start] = top_boxes[node], (place[top_links[node, 0]], top_links[node, 1])
-    return boxes, links
+    parallel_for_pieces(lambda: build, parts, threads)
+    return node_boxes, links
 
 
 FAN_REACH = 16.0

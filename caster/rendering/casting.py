@@ -8,10 +8,10 @@ import numpy as np
 from caster.geometry.packing import Kind, Packed
 from caster.kernels.bvh.traversal import find_first_in_tree
 from caster.kernels.nearest import Nearest, Rays, find_first, hit_precedes, merge, no_hits
-from caster.kernels.raster.tile import store_blocked, store_nearest
+from caster.kernels.raster.tile import store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import fan_tiles
-from caster.rendering.ray_tiles import RayTiles, TileCaster, UsesTree, new_workspace, tiles_in_order
+from caster.rendering.ray_tiles import RayTiles, TileCaster, new_workspace, tiles_in_order
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -23,37 +23,36 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     """The nearest hit of any rays."""
     trees = culling != "brute-force"
     tiles = fan_tiles(packed, rays, threads) if trees else None
-    nearest, uncertain = _cast(packed, rays, threads, uses_bvh if trees else (lambda kind: False), tiles)
+    if tiles is None:
+        caster = TileCaster(packed, any_hit=False, uses_tree=uses_bvh if trees else (lambda kind: False))
+        tiles = tiles_in_order(caster, rays, threads)
+    nearest, uncertain = _cast(packed, rays, tiles, threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
-        exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
+        exact = exact_nearest(packed, rays.take(rows), threads, trees=trees)
         for everywhere, here in zip(nearest, exact, strict=True):
             everywhere[rows] = here
     return nearest
 
 
-def _cast(
-    packed: Packed, rays: Rays, threads: int | None, uses_tree: UsesTree, tiles: Iterator[RayTiles] | None = None
-) -> tuple[Nearest, np.ndarray]:
-    """(nearest hits by float64, whether they are uncertain (n,) bool), in tiles or through the trees of some kinds."""
+def _cast(packed: Packed, rays: Rays, tiles: Iterator[RayTiles], threads: int | None) -> tuple[Nearest, np.ndarray]:
+    """(hits by float64, whether others may be nearer (n,) bool)."""
     count, ids = len(rays.t_min), packed.prim_ids
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
     uncertain = unwritten_array((count,), bool)
-    for each in tiles or [tiles_in_order(TileCaster(packed, any_hit=False, uses_tree=uses_tree), count, threads)]:
+    for each in tiles:
         each.cast(rays, lambda tile, numbers: store_nearest(tile, numbers, ids, nearest, uncertain), threads)
     return nearest, uncertain
 
 
 def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
-    count = len(rays.t_min)
-    blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
-    tiles = tiles_in_order(TileCaster(packed, any_hit=True), count, threads)
-    tiles.cast(rays, lambda tile, numbers: store_blocked(tile, numbers, blocked, uncertain), threads)
-    rows = np.flatnonzero(uncertain)
+    hits, uncertain = _cast(packed, rays, tiles_in_order(TileCaster(packed, any_hit=True), rays, threads), threads)
+    blocked = hits.prim >= 0
+    rows = np.flatnonzero(uncertain & ~blocked)
     if len(rows):
-        blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
+        blocked[rows] = exact_nearest(packed, rays.take(rows), threads).prim >= 0
     return blocked
 
 
@@ -74,7 +73,8 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
     def through_tree(kind: Kind) -> bool:
         return trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
 
-    sketch = _cast(packed, rays, threads, through_tree)[0]
+    caster = TileCaster(packed, any_hit=False, uses_tree=through_tree)
+    sketch = _cast(packed, rays, tiles_in_order(caster, rays, threads), threads)[0]
     for kind in packed.kinds:
         found, contested = no_hits(count), np.zeros(count, bool)
 

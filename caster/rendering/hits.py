@@ -158,7 +158,7 @@ def cast_any_lengths(
         t = np.ldexp(nearest.t, -exponent)
     short = np.flatnonzero((exponent < 0) & (nearest.t < SMALLEST_NORMAL_FLOAT))
     if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
-        t[short] = find_nearest(packed, Rays(*(a[short] for a in given)), culling, threads).t
+        t[short] = find_nearest(packed, given.take(short), culling, threads).t
     return rays, nearest, t
 
 

@@ -79,11 +79,8 @@ def _surfaces(scene: Scene, aovs: Sequence[str], shading: Step) -> tuple[tuple[s
     needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
     if any(scene.textures):
         needs = {name: fields | {"uv"} if fields & {"albedo", "radiance"} else fields for name, fields in needs.items()}
-    wanting = [
-        name for name, fields in needs.items() if fields & SURFACE_FIELDS or ("normal" in fields and len(fields) > 1)
-    ]
-    if shading.runs:
-        wanting += [name for name, fields in needs.items() if "radiance" in fields and name not in wanting]
+    lit = {"radiance"} if shading.runs else set()
+    wanting = [name for name, fields in needs.items() if fields & (SURFACE_FIELDS | lit) or fields > {"normal"}]
     if wanting:
         uv = any("uv" in fields for fields in needs.values())
         return ("position", "normals", "uv") if uv else ("position", "normals"), f"for {', '.join(wanting)}"

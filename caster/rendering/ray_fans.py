@@ -25,8 +25,7 @@ SAMPLED_RAYS = 64  # by which a common origin is found
 def sampled(rays: Rays, count: int) -> Rays:
     """At most so many of the rays, evenly spread, without those that are none."""
     rows = np.unique(np.linspace(0, len(rays.t_min) - 1, count).astype(np.int64))
-    rows = rows[rays.t_max[rows] >= 0.0]
-    return Rays(*(a[rows] for a in rays))
+    return rays.take(rows[rays.t_max[rows] >= 0.0])
 
 
 def common_origin(rays: Rays) -> np.ndarray | None:
@@ -60,7 +59,7 @@ def find_rows(rays: Rays) -> RayRows | None:
     """
     count = len(rays.t_min)
     begin = max(0, count // 2 - LONGEST_ROW)
-    some = Rays(*(a[begin : begin + 2 * LONGEST_ROW + 2] for a in rays))
+    some = rays.take(slice(begin, begin + 2 * LONGEST_ROW + 2))
     with np.errstate(all="ignore"):
         x, y, z = np.abs(np.diff(some.d / row_lengths(some.d)[:, None], axis=0)).T
         steps = np.maximum(np.maximum(x, y), z)
@@ -95,10 +94,10 @@ def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> Iterator[RayTi
         return None
     few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
     caster = TileCaster(packed, any_hit=False, light=PointLight(vec3(origin), NO_INTENSITY), rays=few)
-    if caster.first_fan is None:
+    if not caster.fans:
         return None
     some = sampled(rays, SAMPLED_DIRECTIONS)
-    points = project_directions(caster.first_fan, some.d)
+    points = project_directions(caster.fans[0], some.d)
     if not len(points):
         return None
     caster.prepare(threads)

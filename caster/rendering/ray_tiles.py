@@ -83,7 +83,7 @@ class TileCaster:
     ) -> None:
         most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE)) if light is not None else -1
         self._any_hit = any_hit
-        self._fans: list[Fan] = []
+        self.fans: list[Fan] = []  # that of most rays first; none without a kind to cast at as a fan
         self._without_trees: list[Place] = []
         self._kinds: list[Place] = []
         self._too_many: list[Place] = []
@@ -94,14 +94,9 @@ class TileCaster:
         if light is not None and self._kinds:
             center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
             extent = max(kind.extent for kind, _ in self._kinds)
-            self._fans = fans_to(light, center, extent)
+            self.fans = fans_to(light, center, extent)
         self._bounds: dict[tuple[int, int], FanBounds] = {}
         self._lock = threading.Lock()
-
-    @property
-    def first_fan(self) -> Fan | None:
-        """That of most rays; None if there is no kind to cast at as a fan."""
-        return self._fans[0] if self._fans else None
 
     def share_in_view(self, points: np.ndarray) -> float:
         """The share of points (m, 2) of the first projection in boxes of a tree's root, once that is prepared."""
@@ -115,7 +110,7 @@ class TileCaster:
 
     def prepare(self, threads: int | None) -> None:
         """Project all kinds for the first fan, on all threads."""
-        for n in range(len(self._kinds) if self._fans else 0):
+        for n in range(len(self._kinds) if self.fans else 0):
             self._bounds_of(0, n, threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
@@ -132,7 +127,7 @@ class TileCaster:
     def commands(self, tile: np.ndarray, groups: RayGroups, when: Condition | None = None) -> Iterator[Command]:
         """Cast the first rays of this tile."""
         yield from (kind_command(kind, base, tile, False, self._any_hit, when) for kind, base in self._without_trees)
-        if self._fans:
+        if self.fans:
             yield command(begin_groups, groups)
             yield from self._fan_commands(0, tile, groups, when)
             yield Command(self._other_fans(tile, groups), (COUNT,), (groups.counts, 1))
@@ -142,7 +137,7 @@ class TileCaster:
         self, number: int, tile: np.ndarray, groups: RayGroups, when: Condition | None = None
     ) -> Iterator[Command]:
         """Cast the rays that the fan of that number takes."""
-        fan = self._fans[number]
+        fan = self.fans[number]
         yield command(group_rays, fan, tile, LINES, groups, not self._any_hit, when=when)
         for n, (kind, base) in enumerate(self._kinds):
             about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
@@ -155,7 +150,7 @@ class TileCaster:
 
         def go(count: int) -> None:
             row[0, LINES] = count // WIDTH
-            for number in range(1, len(self._fans)):
+            for number in range(1, len(self.fans)):
                 if number not in lists:
                     lists[number] = CommandList(self._fan_commands(number, tile, groups), row)
                 lists[number].run(0, 1)
@@ -168,11 +163,10 @@ class TileCaster:
 
     def _bounds_of(self, number: int, n: int, threads: int | None = 1) -> FanBounds:
         """Kind n as the fan of that number sees it, found when it is first needed."""
-        if (number, n) not in self._bounds:
-            with self._lock:
-                if (number, n) not in self._bounds:
-                    self._bounds[number, n] = fan_bounds(self._kinds[n][0], self._fans[number], threads)
-        return self._bounds[number, n]
+        with self._lock:
+            if (number, n) not in self._bounds:
+                self._bounds[number, n] = fan_bounds(self._kinds[n][0], self.fans[number], threads)
+            return self._bounds[number, n]
 
 
 Piece = tuple[int, ...]
@@ -206,15 +200,16 @@ class RayTiles(NamedTuple):
         parallel_for_pieces(begin, self.pieces, min(thread_count(threads), len(self.pieces)))
 
 
-def tiles_in_order(caster: TileCaster, count: int, threads: int | None) -> RayTiles:
+def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> Iterator[RayTiles]:
     """Rays of an array in their order."""
+    count = len(rays.t_min)
     workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
     tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
 
     def numbers(piece: Piece) -> np.ndarray:
         return filled_up(np.arange(*piece, dtype=np.int32), LANES)
 
-    return RayTiles(caster, even_pieces(0, count, tiles), numbers)
+    yield RayTiles(caster, even_pieces(0, count, tiles), numbers)
 
 
 def filled_up(numbers: np.ndarray, multiple: int) -> np.ndarray:

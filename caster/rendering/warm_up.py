@@ -8,7 +8,6 @@ import numpy as np
 
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
-from caster.description.registry import type_name
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import as_given
 from caster.jit.decorators import COMPILATION_LOG, compile_ahead
@@ -48,11 +47,10 @@ class WarmUpCounts(NamedTuple):
     loaded: int
 
 
-def warm_up(scenes: Iterable[tuple[str, Scene]], on_scene: Callable[[str], None]) -> WarmUpCounts:
-    """Compile or load all kernels that the scenes may need. on_scene: is called with the name of each scene."""
+def warm_up(scenes: Iterable[Scene]) -> WarmUpCounts:
+    """Compile or load all kernels that the scenes may need."""
     before = WarmUpCounts(len(COMPILATION_LOG.compiled), len(COMPILATION_LOG.loaded))
-    for name, scene in scenes:
-        on_scene(name)
+    for scene in scenes:
         _warm_one(scene)
     return WarmUpCounts(len(COMPILATION_LOG.compiled) - before.compiled, len(COMPILATION_LOG.loaded) - before.loaded)
 
@@ -141,13 +139,10 @@ LAMPS = (
 )
 
 
-def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
+def warm_up_scenes() -> Iterator[Scene]:
     """All kinds of primitives before each camera, with a texture and with normals that point inwards."""
     shapes = [shape for few in _few_of_each_kind().values() for shape in few]
     shapes += [Sphere(center=(9.0, 9.0, 9.0), flip_normals=True, material="squares")]
     materials = {"squares": Diffuse(reflectance=Checkerboard())}
     for camera in CAMERAS:
-        yield (
-            type_name(camera),
-            Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=LAMPS, materials=materials),
-        )
+        yield Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=LAMPS, materials=materials)

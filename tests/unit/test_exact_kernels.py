@@ -10,8 +10,8 @@ import pytest
 from caster.kernels.exact import numbers as big
 from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, Root, as_float, compare, is_within, surd_of_float
 from caster.kernels.math.vec import UNDECIDED
-from caster.kernels.nearest import KeepFirst, no_hits, store_first
-from caster.kernels.protocol import intersect, load, prepare, same_geometry, update_best
+from caster.kernels.nearest import KeepFirst, first_of, hit_by_float64, no_hits, store_first
+from caster.kernels.protocol import same_geometry
 from caster.kernels.triangles import Triangles
 from caster.shapes.sphere import Spheres
 
@@ -190,16 +190,16 @@ def test_of_candidates_the_first_exactly_is_the_hit_and_on_a_tie_the_one_of_the_
     rng = np.random.default_rng(240)
     for t_max in (math.inf, 0.5) * 40:
         ray, numbers = ((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), t_min, t_max), rng.permutation(5)[: rng.integers(6)].tolist()
-        best = math.inf, 0.0, -1, False
+        first = -1
         for k in numbers:
-            pre = prepare(prims, load(prims, k), ray[0])
-            hit = intersect(prims, pre, *ray[1:]) if decided else UNDECIDED
-            best = update_best(KeepFirst(prims, ray), best, k, hit)
+            t, error = hit_by_float64(prims, k, ray) if decided else UNDECIDED
+            if t < math.inf:
+                first = first_of(prims, ray, k, error < math.inf, first)
         ahead = [k for k in numbers if t_min < heights[k] / 4.0 <= t_max]
         expected = min(ahead, key=lambda k: (heights[k], k), default=-1)
         found = no_hits(1)
-        store_first(KeepFirst(prims, ray), best[2], found, 0)
-        assert best[2] == found.prim[0] == expected
+        store_first(KeepFirst(ray, prims, math.inf), first, found, 0)
+        assert first == found.prim[0] == expected
         assert found.t[0] == (heights[expected] / 4.0 if ahead else math.inf) and 0.0 <= found.error[0] < 1e-13
 
 

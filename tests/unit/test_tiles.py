@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from caster.kernels.nearest import KeepNearest, Rays, no_hits
-from caster.kernels.protocol import update_best
+from caster.kernels.nearest import Rays, no_hits
 from caster.kernels.raster.tile import (
     DX,
     DY,
@@ -30,7 +29,6 @@ from caster.kernels.raster.tile import (
     load_rays,
     new_lanes,
     new_tile,
-    store_blocked,
     store_nearest,
     tile_rows,
     update_nearest,
@@ -80,10 +78,6 @@ def test_a_tile_takes_the_rays_it_is_given_and_gives_back_the_hit_of_each():
     assert np.array_equal(uncertain[kept], unsure)
     others = np.setdiff1d(np.arange(count), kept)
     assert (nearest.prim[others] == -1).all() and not uncertain[others].any()
-    blocked, uncertain = np.zeros((2, count), bool)
-    store_blocked(tile, numbers, blocked, uncertain)
-    assert np.array_equal(blocked[kept], prim >= 0) and np.array_equal(uncertain[kept], unsure & (prim < 0))
-    assert not blocked[others].any() and not uncertain[others].any()
 
 
 def met(rng, tile, shape=(HEIGHT, WIDTH)):
@@ -115,8 +109,6 @@ def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they
             assert tile[int(UNCERTAIN) + 9] == float(unsure or near)
             changed = np.flatnonzero(tile != before)
             assert set(changed.tolist()) <= {int(at) + 9 for at in fields}
-            mode, best = KeepNearest(False), (held, held_error, 4, bool(unsure))
-            assert update_best(mode, best, 6, (t, error)) == (*expected[:2], int(expected[2]), bool(unsure or near))
 
 
 @pytest.mark.parametrize("new", [new_tile, new_lanes])

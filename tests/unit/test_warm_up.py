@@ -27,7 +27,7 @@ SCENE = "scenes/one-sphere.toml"
 
 
 def test_every_kind_of_primitive_and_every_camera_is_warmed():
-    scenes = [scene for _, scene in warm_up.warm_up_scenes()]
+    scenes = list(warm_up.warm_up_scenes())
     assert [type(scene.camera) for scene in scenes] == list(CAMERAS)
     # other tests of this process may have added plug-ins; the caster's own kinds are those of its own modules
     own = {kind for kind in decorators._GENERICS[intersect].bodies if kind.__module__.startswith("caster.")}
@@ -106,7 +106,7 @@ import caster.rendering
 from caster.jit.decorators import Kernel
 from caster.rendering import warm_up
 
-warm_up.warm_up(warm_up.warm_up_scenes(), lambda name: None)
+warm_up.warm_up(warm_up.warm_up_scenes())
 found = pkgutil.iter_modules(caster.rendering.__path__)
 modules = [importlib.import_module(f"caster.rendering.{module.name}") for module in found]
 kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}

@@ -178,39 +178,41 @@ def best_split_bin(counts: Any, bounds: Any) -> int:
     number = 0
     for b in range(BINS - 1, 0, -1):
         number += counts[b]
-        for c in range(3):
-            low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
-        costs[b - 1] = number * half_area(low, high)
+        costs[b - 1] = number * half_area_with_bin(low, high, bounds, b)
     low[:], high[:] = math.inf, -math.inf
     number, best, least = 0, 0, math.inf
     for b in range(BINS - 1):
         number += counts[b]
-        for c in range(3):
-            low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
-        cost = costs[b] + number * half_area(low, high)
+        cost = costs[b] + number * half_area_with_bin(low, high, bounds, b)
         if cost < least:
             best, least = b, cost
     return best
 
 
-@jit
-def build_binary(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any) -> int:
-    """Fill binary nodes over order[start:stop], down to runs of at most `enough`; return their number.
+@inlined
+def half_area_with_bin(low: Any, high: Any, bounds: Any, b: int) -> float:
+    """Half the surface of a box, which is extended by a bin."""
+    for c in range(3):
+        low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
+    return half_area(low, high)
 
-    The first child of an inner node follows it. node_boxes: (room, 6); links: (room, 2), (second child, -1), or in a
-    leaf (start in order, how many).
+
+@jit
+def build_binary(
+    boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any, root: int, free: int
+) -> int:
+    """Fill binary nodes over order[start:stop], down to runs of at most `enough`.
+
+    The root is node `root`, the others are numbered from `free` on; returns the number after the last. node_boxes:
+    (room, 6); links: (room, 2), (the first of two children, -1), or in a leaf (start in order, how many).
     """
-    stack = np.zeros((BUILD_STACK_SIZE, 4), np.int64)  # start, stop, node whose second child this run is, depth
+    stack = np.zeros((BUILD_STACK_SIZE, 4), np.int64)  # start, stop, node, depth
     counts, bounds = np.zeros(BINS, np.int64), np.zeros((BINS, 6))
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = start, stop, -1, 0
-    top, nodes = 1, 0
+    stack[0, 0], stack[0, 1], stack[0, 2] = start, stop, root
+    top = 1
     while top > 0:
         top -= 1
-        first, last, parent, depth = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
-        if parent >= 0:
-            links[parent, 0] = nodes
-        node = nodes
-        nodes += 1
+        first, last, node, depth = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
         spread = bound_run(boxes, order, first, last, node_boxes[node])
         if last - first <= enough:
             links[node, 0], links[node, 1] = first, last - first
@@ -218,12 +220,13 @@ def build_binary(boxes: Any, order: Any, start: int, stop: int, enough: int, nod
         middle = (first + last) // 2
         if depth < MAX_SAH_DEPTH and spread[2] > spread[1] and spread[2] - spread[1] < math.inf:
             middle = partition(boxes, order, (first, last), spread, counts, bounds)
-        links[node, 1] = -1
+        links[node, 0], links[node, 1] = free, -1
         for child in range(2):
-            stack[top, 0], stack[top, 1] = (middle, last) if child == 0 else (first, middle)
-            stack[top, 2], stack[top, 3] = node if child == 0 else -1, depth + 1
+            stack[top, 0], stack[top, 1] = (first, middle) if child == 0 else (middle, last)
+            stack[top, 2], stack[top, 3] = free + child, depth + 1
             top += 1
-    return nodes
+        free += 2
+    return free
 
 
 # Where a node has fewer boxes, the rest reach from EMPTY_BOX to -EMPTY_BOX, outside of every tree, and are left before
@@ -268,6 +271,6 @@ def open_largest(boxes: Any, links: Any, inside: Any) -> int:
                 opened, largest = j, area
         if opened >= 0:
             k = inside[opened]
-            inside[opened], inside[number] = k + 1, links[k, 0]
+            inside[opened], inside[number] = links[k, 0], links[k, 0] + 1
             number += 1
     return number

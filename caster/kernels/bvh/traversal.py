@@ -3,14 +3,23 @@
 import math
 from typing import Any, NamedTuple
 
-from caster.jit.decorators import inlined, jit
+from caster.jit.decorators import implement, inlined, jit
 from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import intersect_boxes, lane_max, lane_max_of_sums, lane_min
 from caster.kernels.math.vec import l1_norm, max_norm
-from caster.kernels.nearest import KeepFirst, KeepNearest, ray_at, store_first
-from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
-from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_MIN, UNCERTAIN, T, cast_lanes, get, lane
+from caster.kernels.nearest import (
+    KeepFirst,
+    Ray,
+    any_hit_result,
+    hit_by_float64,
+    ray_at,
+    reach,
+    store_first,
+    try_primitive,
+)
+from caster.kernels.protocol import Vec3, load
+from caster.kernels.raster.tile import DX, OX, STRIDE, T_ERROR, T_MAX, T_MIN, T, cast_lanes, get, lane, update_nearest
 
 # A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point relative to the origin,
 # less or more the pad, taken as (low + c) (1/d). What the sums round, u (|low| + |c|) in space, is in BOX_PADDING; what
@@ -32,15 +41,9 @@ class RayAxis(NamedTuple):
 
 
 @inlined
-def box_padding(tree: Any, o: Vec3) -> float:
-    """The margin of boxes for rays from o."""
-    return tree.reach * (max_norm(o) + tree.extent)
-
-
-@inlined
 def ray_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> tuple[RayAxis, RayAxis, RayAxis]:
     """Slab-test constants of rays whose origins and directions lie within these bounds."""
-    pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
+    pad = tree.reach * (max(max_norm(origins[0]), max_norm(origins[1])) + tree.extent)
     return (
         ray_axis(tree, origins, directions, pad, 0),
         ray_axis(tree, origins, directions, pad, 1),
@@ -94,15 +97,15 @@ def pop_beyond(top: int, limit: float, workspace: Any) -> int:
 
 
 @inlined
-def traverse(mode: Any, prims: Any, tree: Any, ray: Any, best: Any, workspace: Any) -> Any:
-    """The best of a ray (o, d, t_min, t_max) after traversing the tree of a kind, near boxes first.
+def traverse(mode: Any, prims: Any, tree: Any, view: Any, limits: tuple[float, float], workspace: Any) -> int:
+    """The best (`try_primitive`) of one or several rays after traversing the tree of a kind, near boxes first.
 
-    A box at exactly the nearest t is opened, so no tie is lost. workspace: see rendering.ray_tiles.new_workspace.
+    view: `ray_box_setup`; limits: the least t_min and the largest t_max. A box at exactly the nearest t is opened, so
+    no tie is lost. workspace: see rendering.ray_tiles.new_workspace.
     """
     stack, entries, near = workspace
-    o, d, t_min, t_max = ray
-    view = ray_box_setup(tree, (o, o), (d, d))
-    limit = min(t_max, best[0] + best[1])
+    t_min, t_max = limits
+    limit, best = min(t_max, reach(mode)), -1
     inside, top, entries[0] = 0, 1, -math.inf  # under all that waits lies what is always entered
     while top > 0:
         if inside >= 0:
@@ -113,14 +116,18 @@ def traverse(mode: Any, prims: Any, tree: Any, ray: Any, best: Any, workspace: A
         else:
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
             for at in range(start, start + number):
-                k = tree.order[at]
-                pre = prepare(prims, load(prims, k), o)
-                if not surely_misses(prims, pre, d):
-                    best = update_best(mode, best, k, intersect(prims, pre, d, t_min, t_max))
-            limit = min(t_max, best[0] + best[1])
+                best = try_primitive(mode, prims, tree.order[at], best)
+            limit = min(t_max, reach(mode))
         top = pop_beyond(top, limit, workspace) - 1
         inside = stack[top]
     return best
+
+
+@inlined
+def traverse_singly(mode: Any, prims: Any, tree: Any, workspace: Any) -> int:
+    """`traverse` for the one ray of a mode."""
+    o, d, t_min, t_max = mode.ray
+    return traverse(mode, prims, tree, ray_box_setup(tree, (o, o), (d, d)), (t_min, t_max), workspace)
 
 
 @jit
@@ -131,14 +138,58 @@ def find_first_in_tree(
     for i in range(start, stop):
         ray = ray_at(rays, i)
         if ray[2] < ray[3]:
-            mode, best = KeepFirst(prims, ray), (sketch.t[i], sketch.error[i], -1, False)
-            store_first(mode, traverse(mode, prims, tree, ray, best, workspace)[2], found, i)
+            mode = KeepFirst(ray, prims, sketch.t[i] + sketch.error[i])
+            store_first(mode, traverse_singly(mode, prims, tree, workspace), found, i)
 
 
 # Packets: neighbours in a tile traverse the tree together.
 
 
 PACKET_SIZE = lane(LANES)
+
+
+class Packet(NamedTuple):
+    """Mode of a traversal: find the nearest hits of LANES rays of a tile."""
+
+    base: int
+    tile: Any
+    first: Any
+    any_hit: bool
+
+
+@implement(try_primitive, Packet)
+def _cast_packet(mode: Any, prims: Any, k: int, best: int) -> int:
+    cast_lanes(prims, load(prims, k), float(mode.base + k), mode.tile, mode.first, mode.any_hit)
+    return best
+
+
+@implement(reach, Packet)
+def _reach_of_packet(mode: Any) -> float:
+    return lane_max_of_sums(mode.tile, T + mode.first, T_ERROR + mode.first)
+
+
+class SingleRay(NamedTuple):
+    """Mode of a traversal: find the nearest hit of one ray of a tile."""
+
+    ray: Ray
+    base: int
+    tile: Any
+    i: Any
+    any_hit: bool
+
+
+@implement(try_primitive, SingleRay)
+def _cast_single_ray(mode: Any, prims: Any, k: int, best: int) -> int:
+    t, error = hit_by_float64(prims, k, mode.ray)
+    if t < math.inf:
+        t, error = any_hit_result(t, error, mode.any_hit)
+        update_nearest(mode.tile, mode.i, float(mode.base + k), t, error)
+    return best
+
+
+@implement(reach, SingleRay)
+def _reach_of_single_ray(mode: Any) -> float:
+    return mode.tile[T + mode.i] + mode.tile[T_ERROR + mode.i]
 
 
 @inlined
@@ -173,14 +224,9 @@ def l1_extent(ends: Bounds3) -> float:
 @jit
 def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool) -> None:
     """Nearest hits of a packet's rays, one by one."""
-    mode = KeepNearest(any_hit)
     for i in range(first, first + PACKET_SIZE):
         ray = get(tile, OX + i), get(tile, DX + i), tile[T_MIN + i], tile[T_MAX + i]
-        best = traverse(mode, prims, tree, ray, (tile[T + i], tile[T_ERROR + i], -1, False), workspace)
-        if best[2] >= 0:
-            tile[T + i], tile[T_ERROR + i], tile[PRIM + i] = best[0], best[1], float(base + best[2])
-        if best[3]:
-            tile[UNCERTAIN + i] = 1.0
+        traverse_singly(SingleRay(ray, base, tile, i, any_hit), prims, tree, workspace)
 
 
 @jit
@@ -198,34 +244,10 @@ def cast_packets(
         origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
         if is_coherent(tree, tile, first, origins, directions):
             view = ray_box_setup(tree, origins, directions)
-            cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
+            limits = lane_min(tile, T_MIN + first), lane_max(tile, T_MAX + first)
+            traverse(Packet(base, tile, first, any_hit), prims, tree, view, limits, workspace)
         else:
             cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
-
-
-@inlined
-def cast_packet(
-    prims: Any, tree: Any, base: int, tile: Any, first: Any, view: Any, workspace: Any, any_hit: bool
-) -> None:
-    """Nearest hits of a packet's rays together: `traverse` for boxes that any of them may enter."""
-    stack, entries, near = workspace
-    t_min, t_max = lane_min(tile, T_MIN + first), lane_max(tile, T_MAX + first)
-    limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))
-    inside, top, entries[0] = 0, 1, -math.inf
-    while top > 0:
-        if inside >= 0:
-            mask = intersect_boxes(tree.boxes, inside, view, t_min, limit, near)
-            if mask != 0:
-                inside, top = push_children(tree.links, inside, mask, top, workspace)
-                continue
-        else:
-            start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
-            for at in range(start, start + number):
-                k = tree.order[at]
-                cast_lanes(prims, load(prims, k), float(base + k), tile, first, any_hit)
-            limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))
-        top = pop_beyond(top, limit, workspace) - 1
-        inside = stack[top]
 
 
 @jit

@@ -73,16 +73,6 @@ LARGEST_T = float(np.finfo(np.float64).max)  # for boxes that are entered at a t
 
 SIDES = 6  # rows of a node's boxes
 
-Slab = tuple[Vector, Vector]  # where each box is entered and left along an axis
-
-
-@inlined
-def sides(boxes: Any, node: int, axis: int, near: int) -> tuple[Vector, Vector]:
-    """The near and the far side of each of a node's boxes along an axis; near: row of the near one."""
-    far = 2 * axis + 3 - near
-    first = node * SIDES * CHILDREN
-    return load_children(boxes, first + near * CHILDREN), load_children(boxes, first + far * CHILDREN)
-
 
 @inlined
 def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
@@ -91,26 +81,23 @@ def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float
     boxes: (nodes, SIDES, CHILDREN). view: a traversal.RayAxis for each axis. near: (8,).
     """
     x, y, z = ray_slab(boxes, node, view, 0), ray_slab(boxes, node, view, 1), ray_slab(boxes, node, view, 2)
-    return entered(x, y, z, t_min, t_max, near)
-
-
-@inlined
-def ray_slab(boxes: Any, node: int, view: Any, axis: int) -> Slab:
-    """At the earliest and at the latest: a near side b is met at no less than (b unit + enter)/d, a far one at no more
-    than (b unit + leave)/d.
-    """
-    ray, (near, far) = view[axis], sides(boxes, node, axis, view[axis].near)
-    begin, end = near * ray.unit + ray.enter, far * ray.unit + ray.leave
-    return lesser(begin * ray.least, begin * ray.most), larger(end * ray.least, end * ray.most)
-
-
-@inlined
-def entered(x: Slab, y: Slab, z: Slab, t_min: float, t_max: float, near: Any) -> int:
-    """A bit for each box that is entered before it is left, within the ray's limits."""
     enter = larger(larger(larger(x[0], y[0]), z[0]), t_min)
     leave = lesser(lesser(lesser(x[1], y[1]), z[1]) * FAR_PADDING, t_max)
     store(lesser(enter, LARGEST_T), near, 0)
     return bits_up_to(enter, leave)
+
+
+@inlined
+def ray_slab(boxes: Any, node: int, view: Any, axis: int) -> tuple[Vector, Vector]:
+    """(where each box is entered at the earliest, where it is left at the latest) along an axis.
+
+    A near side b is met at no less than (b unit + enter)/d, a far one at no more than (b unit + leave)/d.
+    """
+    ray, first = view[axis], node * SIDES * CHILDREN
+    near = load_children(boxes, first + ray.near * CHILDREN)
+    far = load_children(boxes, first + (2 * axis + 3 - ray.near) * CHILDREN)
+    begin, end = near * ray.unit + ray.enter, far * ray.unit + ray.leave
+    return lesser(begin * ray.least, begin * ray.most), larger(end * ray.least, end * ray.most)
 
 
 # ---- fans (caster/kernels/bvh/fans.py): five numbers a box, each the least of something, CHILDREN boxes in a row ----

@@ -67,15 +67,12 @@ def projected_corner(bounds: Any, i: int) -> ProjectedPoint:
 
 @inlined
 def projected_hull(bounds: Any, corners: Any, k: int) -> Any:
-    """(the first three corners of hull k, its box and least depth, its largest depth)."""
-    a, b = projected_corner(bounds, corners[k, 0]), projected_corner(bounds, corners[k, 1])
-    c = projected_corner(bounds, corners[k, 2])
-    box = box_union_point(box_union_point(box_union_point(NO_POINTS, a), b), c)
-    deepest = max(max(a[3], b[3]), c[3])
-    for j in range(3, corners.shape[1]):
+    """(box and least depth, largest depth) of hull k."""
+    box, deepest = NO_POINTS, -math.inf
+    for j in range(corners.shape[1]):
         point = projected_corner(bounds, corners[k, j])
         box, deepest = box_union_point(box, point), max(deepest, point[3])
-    return (a, b, c), box, deepest
+    return box, deepest
 
 
 @inlined
@@ -138,24 +135,25 @@ def project_vertices(points: Any, camera: Any, window: Any, projected: Any, reac
 
 
 @inlined
-def misses_pixel_center(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: int, y: int) -> bool:
-    """Whether a triangle certainly does not contain the centre of a pixel."""
-    p, q = x + 0.5, y + 0.5
-    return surely_beyond_edge(a, b, c, p, q) | surely_beyond_edge(b, c, a, p, q) | surely_beyond_edge(c, a, b, p, q)
+def misses_pixel_center(bounds: Any, corners: Any, k: int, more: float, x: int, y: int) -> bool:
+    """Whether a triangle certainly does not contain the centre of a pixel; more: beyond the margins of its corners."""
+    a, b = projected_corner(bounds, corners[k, 0]), projected_corner(bounds, corners[k, 1])
+    c, p, q = projected_corner(bounds, corners[k, 2]), x + 0.5, y + 0.5
+    wide = max(max(a[2], b[2]), c[2]) + more
+    return beyond_edge(a, b, c, wide, p, q) | beyond_edge(b, c, a, wide, p, q) | beyond_edge(c, a, b, wide, p, q)
 
 
 @inlined
-def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: float, y: float) -> bool:
+def beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, wide: float, x: float, y: float) -> bool:
     """Whether a point certainly lies on the other side of the line through a and b than c.
 
-    That holds for all corners within the margins of these along x and y, which cover the rounding here many times
+    That holds for all corners within `wide` of these along x and y, which covers the rounding here many times
     (PROJECTION_MARGIN). False if a point is not projected: its margin is inf.
     """
     across, down = b[0] - a[0], b[1] - a[1]
     third = across * (c[1] - a[1]) - down * (c[0] - a[0])
     point = across * (y - a[1]) - down * (x - a[0])
-    far = (abs(across) + abs(down)) * max(max(a[2], b[2]), c[2])
-    return (point if third >= 0.0 else -point) < -far
+    return (point if third >= 0.0 else -point) < -(abs(across) + abs(down)) * wide
 
 
 EVERYWHERE = -math.inf, -math.inf, math.inf, math.inf, -math.inf  # the box of a kind without bounds
@@ -191,7 +189,7 @@ def bound_hulls(
         if corners.shape[1] == 0:
             store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
             continue
-        (a, b, c), box, deepest = projected_hull(bounds, corners, k)
+        box, deepest = projected_hull(bounds, corners, k)
         left, top, right, bottom, least = box
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
@@ -201,11 +199,6 @@ def bound_hulls(
             continue
         box = left - more, top - more, right + more, bottom + more, least * share
         x0, y0, x1, y1 = store_bounds(bounds, k, box, deepest, reach[0], window)
-        if corners.shape[1] == 3 and (x1 - x0) * (y1 - y0) == 1:
-            hidden = misses_pixel_center(widened(a, more), widened(b, more), widened(c, more), x0, y0)
-            bounds.pixels[k, 2] = x0 if hidden else x1
-
-
-@inlined
-def widened(point: ProjectedPoint, more: float) -> ProjectedPoint:
-    return point[0], point[1], point[2] + more, point[3]
+        single = corners.shape[1] == 3 and (x1 - x0) * (y1 - y0) == 1
+        if single and misses_pixel_center(bounds, corners, k, more, x0, y0):
+            bounds.pixels[k, 2] = x0

@@ -14,6 +14,7 @@ from caster.jit.command_list import Column
 from caster.jit.decorators import inlined, jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
+from caster.kernels.math.vec import row
 from caster.kernels.nearest import any_hit_result
 from caster.kernels.protocol import Vec3, camera_ray, intersect, prepare
 
@@ -149,18 +150,10 @@ def clear_rays(tile: Any, start: int, stop: int) -> None:
 @jit
 def load_rays(rays: Any, numbers: Any, tile: Any) -> None:
     """Fill a tile with ray numbers[i] at place i; a negative number stands for no ray."""
-    count = lane(len(numbers))
-    for i in range(count):
-        tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
-    for i in range(count):
+    for i in range(lane(len(numbers))):
         k = lane(max(numbers[i], 0))
-        put(tile, DX + i, (rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]))
-    for i in range(count):
-        k = lane(max(numbers[i], 0))
-        put(tile, OX + i, (rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]))
-    for i in range(count):
-        k = lane(max(numbers[i], 0))
-        tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[k], rays.t_max[k] if numbers[i] >= 0 else -1.0
+        t_max = rays.t_max[k] if numbers[i] >= 0 else -1.0
+        start_ray(tile, i, (row(rays.o, k), row(rays.d, k), rays.t_min[k], t_max))
 
 
 @jit
@@ -186,15 +179,6 @@ def store_nearest(tile: Any, numbers: Any, ids: Any, nearest: Any, uncertain: An
             nearest.t[k] = tile[T + i] if prim >= 0.0 else math.inf
             nearest.prim[k] = ids[lane(prim)] if prim >= 0.0 else -1
             nearest.error[k], uncertain[k] = tile[T_ERROR + i], tile[UNCERTAIN + i] != 0.0
-
-
-@jit
-def store_blocked(tile: Any, numbers: Any, blocked: Any, uncertain: Any) -> None:
-    """Whether each ray has hit anything, and whether that is still uncertain."""
-    for i in range(lane(len(numbers))):
-        if numbers[i] >= 0:
-            k, hit = lane(numbers[i]), (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
-            blocked[k], uncertain[k] = hit, (tile[UNCERTAIN + i] != 0.0) & (not hit)
 
 
 # The primitives of each tile of the film, near ones first.
