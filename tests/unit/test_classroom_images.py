@@ -142,16 +142,6 @@ def test_shadows_fall_where_they_are_requested(tmp_path):
     assert 40 < darker.sum() < 200 and lit[darker].min() > 0.0 and cast[darker].max() == 0.0
 
 
-def test_our_own_diffuse_is_the_same_where_our_model_has_the_light(tmp_path):
-    """An independent way to the same colours: caster.render of the scene, which has lights of its own units."""
-    import caster
-
-    course = course_of(tmp_path, SPHERE, rest=SUN + FAINT)
-    ours = caster.render(course.scene, ("diffuse",))
-    mine = render_course(course)
-    assert np.allclose(ours["diffuse"][mine.hit], mine.color[mine.hit], rtol=1e-14, atol=1e-15)
-
-
 def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     course_of(tmp_path, SPHERE, rest=LAMP + FAINT)
