@@ -47,17 +47,7 @@ from caster.kernels.math.vec import (
     scaled,
     sub,
 )
-from caster.kernels.protocol import (
-    Vec3,
-    exact_intersect,
-    hull_point,
-    hull_size,
-    intersect,
-    load,
-    prepare,
-    same_geometry,
-    surface,
-)
+from caster.kernels.protocol import Vec3, exact_intersect, hull_point, hull_size, intersect, load, prepare, surface
 
 __all__ = ["LinearCurve", "RoundSegments"]
 
@@ -255,12 +245,6 @@ def _cap(
 @inlined
 def _height_error(pre: Any, reach: float, off: float) -> float:
     return HEIGHT_ERROR * (reach + abs(pre.lift)) + 2.0 * off + TINY
-
-
-@implement(same_geometry, RoundSegments)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    same = row(prims.start, k) == row(prims.start, j) and row(prims.end, k) == row(prims.end, j)
-    return same and prims.radius[k, 0] == prims.radius[j, 0] and prims.radius[k, 1] == prims.radius[j, 1]
 
 
 @implement(exact_intersect, RoundSegments)

@@ -5,9 +5,8 @@ from inspect import unwrap
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
-from caster.description.errors import SceneError
 from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
 from caster.description.transform import inverse, rotations, transform_points, transform_vectors
 from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
@@ -136,13 +135,7 @@ class SphereCloud(Shape):
     centers: Points | None = None  # scene units
     radii: Lengths | None = None  # scene units
     radius: Positive | None = None  # scene units
-    file: str | None = None
-
-    @field_validator("file")
-    @classmethod
-    def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        radius = info.data.get("radius")
-        return info.context.resolve(file, lambda path: _load_file(path, radius)) if file and info.context else file
+    file: Annotated[str | None, readable(load_points)] = None
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "SphereCloud":
@@ -151,27 +144,21 @@ class SphereCloud(Shape):
         if self.radii is not None and (self.centers is None or len(self.radii) != len(self.centers)):
             count = 0 if self.centers is None else len(self.centers)
             raise ValueError(f"needs as many radii as centers, got {len(self.radii)} radii and {count} centers")
-        if self.radii is not None and self.radius is not None:
-            raise ValueError("needs either radii or radius, got both")
+        if self.radius is not None and self._given()[1] is not None:
+            raise ValueError("needs either radius or radii, its own or its file's, got both")
         return self
+
+    def _given(self) -> tuple[np.ndarray, Any]:
+        """Centres and radii, or None, of the lists or of the file."""
+        return (np.array(self.centers), self.radii) if self.file is None else load_once(load_points, self.file)
 
     def spheres(self) -> tuple[np.ndarray, np.ndarray]:
         """Centres (n, 3) and radii (n,) in object space. Raises SceneError, FileMissing for a file."""
-        given = np.array(self.centers), self.radii
-        centers, radii = given if self.file is None else _load_file(self.file, self.radius)
+        centers, radii = self._given()
         return centers, np.full(len(centers), self.radius or 1.0) if radii is None else np.array(radii)
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(*self.spheres(), self.matrix, rounded)
-
-
-def _load_file(file: str, radius: float | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Centres (n, 3) and radii (n,) of a file, cached until it changes. radius: the key of the shape."""
-    centers, radii = load_once(load_points, file)
-    if radii is not None and radius is not None:
-        expected = "expected vertices without a property radius, since the shape has the key 'radius'"
-        raise SceneError(f"{file}: {expected}, got one: leave out one of the two")
-    return centers, radii
 
 
 def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding) -> Spheres | Ellipsoids:
