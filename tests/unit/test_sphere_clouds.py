@@ -101,7 +101,7 @@ REFUSED = {
     "{centers = [[0, 0, 0]], radii = [1], radius = 2}": "needs either radius or radii, its own or its file's, got both",
     '{file = "a.ply", radius = 2}': "needs either radius or radii, its own or its file's, got both",
     '{file = "no.ply"}': "cannot be used: cannot read this file of points",
-    '{file = "a.obj"}': "unknown format of points '.obj': expected .ply",
+    '{file = "a.obj"}': "PLY header: expected the line 'ply', got 'v 0 0 0",
 }
 
 

@@ -65,13 +65,11 @@ def load_points(path: str | PathLike[str]) -> tuple[Any, Any]:
 
     Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
     """
-    rows = parse_ply_vertices(_read_point_file(path), str(path), POSITION, "radius")
+    rows = parse_ply_vertices(_read_points(path), str(path), POSITION, "radius")
     return rows[:, :3], rows[:, 3] if rows.shape[1] > 3 else None
 
 
-def _read_point_file(path: str | PathLike[str]) -> bytes:
-    if (ending := Path(path).suffix).lower() != ".ply":
-        raise SceneError(f"{path}: unknown format of points '{ending}': expected .ply")
+def _read_points(path: str | PathLike[str]) -> bytes:
     return read_input(str(path), "file of points", MAX_MESH_BYTES)
 
 
@@ -84,7 +82,7 @@ def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
     Scales are stored as logarithms, as for Gaussian splats. Raises FileMissing for a file that cannot be read,
     SceneError for one without these properties.
     """
-    rows = parse_ply_vertices(_read_point_file(path), str(path), SPLAT)
+    rows = parse_ply_vertices(_read_points(path), str(path), SPLAT)
     turned = rows[:, 6:].any(axis=1)
     if not turned.all():
         raise SceneError(f"{path}: vertex {int(np.argmin(turned))}: expected a rotation, got 0, 0, 0, 0")
@@ -108,9 +106,9 @@ def load_curves(path: str | PathLike[str]) -> tuple[Any, Any]:
         if words:
             rows.append(row)
             counts[-1] += 1
-        elif counts[-1]:
+        else:
             counts.append(0)
-    sizes = np.array(counts if counts[-1] else counts[:-1])
+    sizes = np.array([count for count in counts if count])
     if not len(sizes) or sizes.min() < 2:
         got = f"one of {sizes.min()}, number {np.argmin(sizes)}" if len(sizes) else "none"
         raise SceneError(f"{path}: expected curves of at least 2 points, got {got}")
