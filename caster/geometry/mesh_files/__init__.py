@@ -28,7 +28,7 @@ from caster.description.transform import (
     transform_points,
     translate,
 )
-from caster.geometry.mesh_files.obj import parse_obj, quote_bytes, read_numbers
+from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import POSITION, parse_off, parse_ply, parse_ply_vertices
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
@@ -87,32 +87,6 @@ def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
     if not turned.all():
         raise SceneError(f"{path}: vertex {int(np.argmin(turned))}: expected a rotation, got 0, 0, 0, 0")
     return rows[:, :3], exponentials(rows[:, 3:6]), rows[:, 6:]
-
-
-def load_curves(path: str | PathLike[str]) -> tuple[Any, Any]:
-    """Read a text file of curves: rows x, y, z, radius (n, 4), and the number of rows of each curve (m,).
-
-    An empty line ends a curve, as in Mitsuba. Raises FileMissing for a file that cannot be read, SceneError with its
-    line for one that has something else.
-    """
-    rows: list[list[float]] = []
-    counts = [0]
-    for number, line in enumerate(read_input(str(path), "file of curves", MAX_MESH_BYTES).split(b"\n"), 1):
-        place = f"{path}:{number}"
-        words = line.split()
-        row = read_numbers(words, place)
-        if words and not (len(row) == 4 and np.isfinite(row).all() and row[3] > 0.0):
-            raise SceneError(f"{place}: expected x, y, z and a radius > 0, got {quote_bytes(line.strip())}")
-        if words:
-            rows.append(row)
-            counts[-1] += 1
-        else:
-            counts.append(0)
-    sizes = np.array([count for count in counts if count])
-    if not len(sizes) or sizes.min() < 2:
-        got = f"one of {sizes.min()}, number {np.argmin(sizes)}" if len(sizes) else "none"
-        raise SceneError(f"{path}: expected curves of at least 2 points, got {got}")
-    return np.array(rows), sizes
 
 
 Loaded = TypeVar("Loaded")
