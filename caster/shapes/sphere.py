@@ -9,7 +9,7 @@ from pydantic import model_validator
 
 from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
 from caster.description.transform import inverse, rotations, transform_points, transform_vectors
-from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
+from caster.geometry.mesh_files import load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
@@ -175,11 +175,10 @@ def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rou
 
 
 class EllipsoidCloud(Shape):
-    """Many ellipsoids as one shape, visible from outside only: `centers`, `scales` and `quaternions`, or a PLY file.
+    """Many ellipsoids as one shape, visible from outside only: `centers`, `scales` and `quaternions`.
 
-    Semi-axes are `extent` times `scales`; quaternions [x, y, z, w] of any length rotate them. A file has the
-    properties of Gaussian splats, which Mitsuba reads: x, y, z, the logarithms scale_0 to scale_2, and the quaternion
-    rot_0 (w), rot_1 to rot_3. Primitives are numbered in the order of the list.
+    Semi-axes are `extent` times `scales`; quaternions [x, y, z, w] of any length rotate them. Primitives are numbered
+    in the order of the lists.
     """
 
     type: Literal["ellipsoids"] = "ellipsoids"
@@ -188,31 +187,25 @@ class EllipsoidCloud(Shape):
         "scales": ((1.0, 1.0, 1.0),),
         "quaternions": ((0.0, 0.0, 0.0, 1.0),),
     }
-    centers: Points | None = None
-    scales: LengthTriples | None = None
-    quaternions: Quaternions | None = None
+    centers: Points
+    scales: LengthTriples
+    quaternions: Quaternions
     extent: Positive = 1.0
-    file: Annotated[str | None, readable(load_ellipsoids)] = None
 
     @model_validator(mode="after")
-    def _has_one_source(self) -> "EllipsoidCloud":
-        counts = [0 if each is None else len(each) for each in (self.centers, self.scales, self.quaternions)]
-        if (self.file is None) != all(counts) or len({*counts}) != 1:
-            expected = "needs either file, or as many centers as scales and quaternions"
-            got = "{} centers, {} scales, {} quaternions".format(*counts)
-            raise ValueError(f"{expected}, got {got} and {'a' if self.file else 'no'} file")
-        if self.quaternions is not None and not self.quaternions.any(axis=1).all():
-            place = int(np.argmin(self.quaternions.any(axis=1)))
-            raise ValueError(f"needs quaternions other than 0, got 0 as number {place}")
+    def _has_all_of_each(self) -> "EllipsoidCloud":
+        counts = len(self.centers), len(self.scales), len(self.quaternions)
+        if len({*counts}) != 1:
+            expected = "needs as many centers as scales and quaternions"
+            raise ValueError("{}, got {} centers, {} scales, {} quaternions".format(expected, *counts))
+        turned = self.quaternions.any(axis=1)
+        if not turned.all():
+            raise ValueError(f"needs quaternions other than 0, got 0 as number {int(np.argmin(turned))}")
         return self
 
     def ellipsoids(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres (n, 3), scales (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
-        given = self.centers, self.scales, self.quaternions
-        centers, scales, quaternions = map(
-            np.array, given if self.file is None else load_once(load_ellipsoids, self.file)
-        )
-        return centers, scales, quaternions
+        """Centres (n, 3), scales (n, 3) and quaternions (n, 4) in object space."""
+        return np.array(self.centers), np.array(self.scales), np.array(self.quaternions)
 
     def pack(self, rounded: Rounding) -> OuterEllipsoids:
         centers, scales, quaternions = self.ellipsoids()

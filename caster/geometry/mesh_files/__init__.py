@@ -19,20 +19,12 @@ from pydantic import AfterValidator
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
-from caster.description.transform import (
-    compose,
-    exponentials,
-    is_mirrored,
-    rotations,
-    scale,
-    transform_points,
-    translate,
-)
+from caster.description.transform import compose, is_mirrored, rotations, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import POSITION, parse_off, parse_ply, parse_ply_vertices
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
-__all__ = ["MeshFolders", "load_ellipsoids", "load_points"]
+__all__ = ["MeshFolders", "load_points"]
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
@@ -65,28 +57,9 @@ def load_points(path: str | PathLike[str]) -> tuple[Any, Any]:
 
     Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
     """
-    rows = parse_ply_vertices(_read_points(path), str(path), POSITION, "radius")
+    data = read_input(str(path), "file of points", MAX_MESH_BYTES)
+    rows = parse_ply_vertices(data, str(path), POSITION, "radius")
     return rows[:, :3], rows[:, 3] if rows.shape[1] > 3 else None
-
-
-def _read_points(path: str | PathLike[str]) -> bytes:
-    return read_input(str(path), "file of points", MAX_MESH_BYTES)
-
-
-SPLAT = (*POSITION, "scale_0", "scale_1", "scale_2", "rot_1", "rot_2", "rot_3", "rot_0")
-
-
-def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
-    """Read the vertices of a PLY file as ellipsoids: centres (n, 3), scales (n, 3), quaternions x, y, z, w (n, 4).
-
-    Scales are stored as logarithms, as for Gaussian splats. Raises FileMissing for a file that cannot be read,
-    SceneError for one without these properties.
-    """
-    rows = parse_ply_vertices(_read_points(path), str(path), SPLAT)
-    turned = rows[:, 6:].any(axis=1)
-    if not turned.all():
-        raise SceneError(f"{path}: vertex {int(np.argmin(turned))}: expected a rotation, got 0, 0, 0, 0")
-    return rows[:, :3], exponentials(rows[:, 3:6]), rows[:, 6:]
 
 
 Loaded = TypeVar("Loaded")
