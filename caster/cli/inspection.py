@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.geometry.packing import Kind, rejected_faces
+from caster.geometry.packing import rejected_faces
 from caster.kernels.nearest import intersect_each
-from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
+from caster.rendering.bvh_construction import bvh_of, has_bvh
 from caster.rendering.hits import RayHits
 from caster.rendering.images import RenderResult, trace_film
 from caster.scene.model import Scene
@@ -67,7 +67,6 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
                 "kind": type(kind.prims).__name__.lower(),
                 "count": len(kind.ids),
                 "looked_for": int(on_film[i].sum()) if on_film else len(kind.ids),
-                "way": _way(kind, plan.culling),
                 "nodes": len(bvh_of(kind).links) if has_bvh(kind) else 0,
             }
             for i, kind in enumerate(kinds)
@@ -84,16 +83,6 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "shadow_rays": {**plan.shadows._asdict(), "cast": rendered.shadow_rays},
         "aovs": list(aovs),
     }
-
-
-def _way(kind: Kind, culling: str) -> str:
-    if culling == "brute-force":
-        return "tested by every ray"
-    if not kind.bounded:
-        return "tested by every ray, since they have no bounds"
-    if culling == "raster":
-        return "tested in the pixels of their screen bounds"
-    return "found through a BVH" if uses_bvh(kind) else "too few for a BVH"
 
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:

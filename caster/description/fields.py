@@ -279,11 +279,7 @@ def _three(value: Any) -> Any:
 
 
 Rows = Annotated[Any, RowOf(Row, 4, "4 rows of 4 numbers")]  # 4 rows of 4 numbers
-Factors: TypeAlias = Any
-if not TYPE_CHECKING:
-    Factors = Annotated[
-        Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)
-    ]  # 3 numbers, or one for all three
+Factors = Annotated[Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)]  # 3 numbers, or one for all
 
 
 class Step(Description):

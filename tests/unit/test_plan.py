@@ -155,9 +155,10 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tm
     assert len(used) <= 12, used
 
 
-def test_without_culling_every_ray_tests_all_primitives():
+def test_without_culling_no_tree_is_grown():
     what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="brute-force")
-    assert {kind["way"] for kind in what["primitives"]} == {"tested by every ray"}
+    assert what["culling"] == {"name": "brute-force", "reason": "as requested"}
+    assert [kind["nodes"] for kind in what["primitives"]] == [0, 0]
 
 
 EVERYTHING_ASKED = """
