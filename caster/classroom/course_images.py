@@ -27,10 +27,9 @@ def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
     camera = scene.camera
     if not isinstance(camera, Orthographic) or not scene.shapes:
         return scene, 0.0
-    right, up, forward = (np.array(v) for v in camera.frame)
-    eye, half = np.array(camera.eye), 0.5 * camera.width
-    tall = half * scene.film.height / scene.film.width
-    corners = np.array([eye + x * half * right + y * tall * up for x in (-1, 1) for y in (-1, 1)])
+    view = camera.pack(scene.film.width, scene.film.height)
+    eye, right, up, forward = np.array(view[:4])
+    corners = np.array([eye + x * view.half[0] * right + y * view.half[1] * up for x in (-1, 1) for y in (-1, 1)])
     nearest = np.inf  # a lower bound of t
     for kind in packed(scene).kinds:
         if kind.bounded:

@@ -55,12 +55,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
     plan, scene, kinds, on_film = rendered.plan, rendered.scene, rendered.packed.kinds, rendered.on_film
     x0, y0, x1, y1 = scene.film.window
     return {
-        "camera_rays": {
-            "cast": (x1 - x0) * (y1 - y0),
-            "camera": scene.camera.type,
-            "window": [x0, y0, x1, y1],
-            "film": [scene.film.width, scene.film.height],
-        },
+        "camera_rays": {"cast": (x1 - x0) * (y1 - y0), "camera": scene.camera.type},
         "culling": {"name": plan.culling, "reason": plan.reason},
         "primitives": [
             {

@@ -431,4 +431,4 @@ def _accept_registered() -> None:
 
 
 SHAPES.changed = CAMERAS.changed = _accept_registered
-load_plugins()
+load_plugins("caster.plugins")

@@ -61,7 +61,6 @@ from caster.kernels.protocol import (
     intersect,
     load,
     prepare,
-    same_geometry,
     surely_misses,
     surface,
     surface_setup,
@@ -241,11 +240,6 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 @implement(surely_misses, Spheres)
 def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
     return closest_approach(pre, d, 0.0).missed
-
-
-@implement(same_geometry, Spheres)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    return row(prims.center, k) == row(prims.center, j) and prims.radius[k] == prims.radius[j]
 
 
 @implement(exact_intersect, Spheres)
