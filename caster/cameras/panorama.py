@@ -66,9 +66,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
     top, bottom = high * (0.5 * math.pi - latitude - reach), high * (0.5 * math.pi - latitude + reach)
     share = r * ASIN_SENSITIVITY / level if level > 0.0 else 1.0
-    if not share < 1.0:
-        return -math.inf, top, math.inf, bottom, distance - r, True
-    longitude, reach = arctangent(place[0], place[2]), arcsine(share)
+    longitude, reach = arctangent(place[0], place[2]), arcsine(share) if share < 1.0 else math.inf
     if abs(longitude) + reach > math.pi:
         return -math.inf, top, math.inf, bottom, distance - r, True
     x = camera.size[0] * 0.5 + wide * longitude

@@ -170,7 +170,7 @@ class Draft:
     data: dict[str, Any] = field(default_factory=lambda: {"light": [], "material": {}, "shape": []})
     places: dict[tuple[str | int, ...], Span] = field(default_factory=dict)  # of the elements of the data
     left_out: list[tuple[Span, str]] = field(default_factory=list)
-    lights: list[tuple[list[float], Falloff | None]] = field(default_factory=list)  # see CourseScene
+    falloffs: dict[int, Falloff] = field(default_factory=dict)  # of the point lights
     material: str = ""  # of the objects that follow
 
 
@@ -185,7 +185,6 @@ def _add_lights(draft: Draft, lights: list[Block], background: Block) -> None:
         if min(color) < 0.0:
             raise CourseError(light.fields["color"].at, f"{light.kind}: {light.fields['color']} must be a colour >= 0")
         draft.places["light", k] = light.at
-        falloff: Falloff | None = None
         if light.kind == "DirectionalLight":
             irradiance = [math.pi * c for c in color]
             shown = {"type": "directional", "direction": light.get("direction"), "irradiance": irradiance}
@@ -193,16 +192,16 @@ def _add_lights(draft: Draft, lights: list[Block], background: Block) -> None:
             constant, linear, quadratic = light.get("attenuation", [1.0, 0.0, 0.0])
             if light.get("falloff", [0.0])[0] > 0.0:
                 constant, linear, (quadratic,) = 0.0, 0.0, light.get("falloff")
-            falloff = constant, linear, quadratic
-            if not sum(falloff) > 0.0:
+            draft.falloffs[k] = constant, linear, quadratic
+            at_1 = constant + linear + quadratic
+            if not at_1 > 0.0:
                 raise CourseError(light.at, "PointLight: its attenuation must leave light at a distance of 1")
             if (constant, linear) != (0.0, 0.0):
                 given = light.fields.get("attenuation", "no attenuation")
                 text = f"{given}: point lights fall off by 1 / r^2 here; the value at r = 1 is kept"
                 draft.left_out.append((light.at, text))
-            intensity = [math.pi / sum(falloff) * c for c in color]
+            intensity = [math.pi / at_1 * c for c in color]
             shown = {"type": "point", "position": light.get("position"), "intensity": intensity}
-        draft.lights.append((color, falloff))
         draft.data["light"].append(shown)
     ambient = background.get("ambientLight", [0.0] * 3) if lights else [1.0] * 3
     if any(ambient):
@@ -287,9 +286,9 @@ def _camera(block: Block, width: int, height: int) -> dict[str, Any]:
 class CourseScene:
     """A scene, and the data of the course's images that a Scene has no fields for."""
 
-    scene: Scene  # lights: one for each of `lights`, then the ambient one
+    scene: Scene
     background: list[float]  # behind everything, r g b
-    lights: list[tuple[list[float], Falloff | None]]  # colour, r g b, and attenuation; None: directional
+    falloffs: dict[int, Falloff]  # of the point lights, by their places in the lights of the scene
     left_out: list[str]  # "file:line:column: left out: ...", in the order of the file
 
 
@@ -324,4 +323,4 @@ def load_course_scene(
         places = draft.places
         raise located_error(problems, lambda path: places.get(path[:2]) or places.get(path[:1], START), text, origin)
     left_out = [f"{origin}:{span.line}:{span.column}: left out: {note}" for span, note in sorted(draft.left_out)]
-    return CourseScene(scene, sections["Background"].get("color", [0.5] * 3), draft.lights, left_out)
+    return CourseScene(scene, sections["Background"].get("color", [0.5] * 3), draft.falloffs, left_out)

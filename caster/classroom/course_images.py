@@ -11,7 +11,7 @@ from caster.description.transform import dot_rows, row_lengths
 from caster.geometry.packing import packed
 from caster.rendering.hits import RayHits
 from caster.rendering.images import film_window, trace_film
-from caster.scene.model import Ambient, Directional, Scene
+from caster.scene.model import Point, Scene
 
 __all__ = ["with_window_behind_scene"]
 
@@ -27,10 +27,9 @@ def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
     camera = scene.camera
     if not isinstance(camera, Orthographic) or not scene.shapes:
         return scene, 0.0
-    right, up, forward = (np.array(v) for v in camera.frame)
-    eye, half = np.array(camera.eye), 0.5 * camera.width
-    tall = half * scene.film.height / scene.film.width
-    corners = np.array([eye + x * half * right + y * tall * up for x in (-1, 1) for y in (-1, 1)])
+    view = camera.pack(scene.film.width, scene.film.height)
+    eye, right, up, forward = np.array(view[:4])
+    corners = np.array([eye + x * view.half[0] * right + y * view.half[1] * up for x in (-1, 1) for y in (-1, 1)])
     nearest = np.inf  # a lower bound of t
     for kind in packed(scene).kinds:
         if kind.bounded:
@@ -80,34 +79,23 @@ def normal_image(images: CourseImages) -> Array:
 
 
 def to_bytes_truncated(values: Array) -> Array:
-    """0..1, clipped -> 0..255, truncated without gamma, as the course writes its files."""
-    return (255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
+    """0..1, clipped -> 0..255, truncated without gamma, as in the course; rounding leaves 255 as it is."""
+    return (255.0 * np.clip(values, 0.0, 1.0) + 2.0**-40).astype(np.uint8)
 
 
 def _colors(course: CourseScene, view: RayHits) -> Array:
-    """(n, 3): the diffuse colour times the ambient light and, for each light, color max(0, n . l).
-
-    Unlike in the AOV `diffuse`, lights fall off only as their file declares.
-    """
-    scene, normals, shapes = view.scene, view.normal, view.scene.shapes
-    front = np.sum(normals * view.rays.d, axis=1) <= 0.0
-    n = np.where(front[:, None], normals, -normals)
+    """(n, 3): the AOV `diffuse`, but backs are black in ambient light too, and lights fall off as the file declares."""
     total = np.zeros((len(view.hit), 3))
-    for k, light in enumerate(scene.lights):
-        if isinstance(light, Ambient):
-            total += light.radiance
-            continue
-        if isinstance(light, Directional):
-            brightness = -dot_rows(n, np.array(light.direction))
-        else:
-            way = np.array(light.position) - view.position
-            constant, linear, quadratic = course.lights[k][1] or (0.0, 0.0, 0.0)
-            r = row_lengths(way)
-            weight = r * (constant + linear * r + quadratic * r * r)  # 0 at the light itself, which gets no light
-            brightness = np.divide(dot_rows(n, way), weight, out=np.zeros(len(r)), where=weight > 0.0)
-        alone = replace(view, scene=scene.model_copy(update={"lights": (light,)}))
-        lit = (alone.evaluate(("diffuse",))["diffuse"] > 0.0).any(axis=1)
-        total += np.outer(np.where(lit, np.maximum(brightness, 0.0), 0.0), course.lights[k][0])
-    two_sided = np.array([False, *(scene.material_of(shape).two_sided for shape in shapes)])[view.shape_id + 1]
-    shaded = np.where((front | two_sided)[:, None], total * view.evaluate(("albedo",))["albedo"], 0.0)
-    return np.where(view.hit[:, None], shaded, course.background)
+    for k, light in enumerate(view.scene.lights):
+        alone = replace(view, scene=view.scene.model_copy(update={"lights": (light,)}))
+        diffuse = alone.evaluate(("diffuse",))["diffuse"]
+        if isinstance(light, Point):
+            constant, linear, quadratic = course.falloffs[k]
+            r = row_lengths(np.array(light.position) - view.position)
+            divisor = constant + linear * r + quadratic * r * r  # 0 at the light itself at most, which gets no light
+            ours = (constant + linear + quadratic) * r * r  # what the light of the scene is divided by
+            diffuse *= np.divide(ours, divisor, out=np.zeros(len(r)), where=divisor > 0.0)[:, None]
+        total += diffuse
+    if not any(material.two_sided for material in view.scene.materials.values()):
+        total[np.sum(view.normal * view.rays.d, axis=1) > 0.0] = 0.0
+    return np.where(view.hit[:, None], total, course.background)

@@ -16,9 +16,8 @@ from caster.cli.shared_arguments import (
     output_file_unless_number,
 )
 from caster.description.errors import SceneError, error_prefix
+from caster.description.parsing import list_errors
 from caster.system.process import OK
-
-MAX_LISTED = 50  # of what a file has and the images do not
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,18 +54,17 @@ def run(args: argparse.Namespace) -> int:
     check_film_size("-size", *args.size)
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
     course = load_course_scene(args.input, *args.size, **options)
-    more = len(course.left_out) - MAX_LISTED
-    for text in (*course.left_out[:MAX_LISTED], *([f"and {more} more left out"] if more > 0 else ())):
-        print(text, file=sys.stderr)
+    if course.left_out:
+        print(list_errors(course.left_out, str, args.input), file=sys.stderr)
     with error_prefix(args.input):
         images = render_course(course, args.threads)
-    encoders = {
-        "-output": lambda: to_bytes_truncated(images.color),
-        "-depth": lambda: depth_image(images, near, far),
-        "-normals": lambda: normal_image(images),
+    pictures = {
+        "-output": to_bytes_truncated(images.color),
+        "-depth": depth_image(images, near, far),
+        "-normals": normal_image(images),
     }
     for option, path in wanted.items():
-        write_image(path, encoders[option]())
+        write_image(path, pictures[option])
     height, width = images.hit.shape
     found = f"t {images.t[images.hit].min():.6g} to {images.t[images.hit].max():.6g}" if images.hit.any() else "no hit"
     print(f"{', '.join(wanted.values())}: {width} x {height} pixels, {int(images.hit.sum())} hit, {found}")

@@ -4,17 +4,16 @@ import hashlib
 import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from caster.aovs import Aovs
 from caster.description.errors import SceneError
 from caster.geometry.packing import packed
 from caster.rendering.images import RenderResult, bands_of, render_film
-from caster.rendering.plan import Plan
 from caster.rendering.threads import core_count
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
@@ -24,17 +23,6 @@ __all__ = ["bands_on"]
 
 LIBRARIES = ("numpy", "numba", "llvmlite")  # that results depend on
 WAITING_BANDS = 4  # of some 100 MB
-
-
-class Band(NamedTuple):
-    """What a worker sends back of a RenderResult."""
-
-    aovs: Aovs
-    plan: Plan
-    hits: int
-    decided_exactly: int
-    shadow_rays: int
-    on_film: tuple[Any, ...]
 
 
 def bands_on(
@@ -58,9 +46,9 @@ def bands_on(
         closing(cluster.map(render_band, calls, waiting=WAITING_BANDS)) as outcomes,
     ):
         for outcome in outcomes:
-            band: Band = outcome.value()
+            band = replace(outcome.value(), scene=scene, packed=arrays)
             on_progress(band.aovs.hit.size)
-            yield RenderResult(scene, arrays, *band)
+            yield band
 
 
 def render_band(
@@ -70,11 +58,11 @@ def render_band(
     film: tuple[int, int],
     window: tuple[int, int, int, int],
     aovs: Sequence[str],
-) -> Band:
-    """Render one band, in a worker. sha256: of the scene."""
+) -> Any:
+    """Render one band, in a worker: a RenderResult without the scene and its arrays. sha256: of the scene."""
     scene = scene_of(file, mesh_dirs, sha256).with_film(width=film[0], height=film[1], crop=window)
-    found = render_film(scene, aovs, threads=1)
-    return Band(*(getattr(found, name) for name in Band._fields))
+    found: Any = render_film(scene, aovs, threads=1)
+    return replace(found, scene=None, packed=None)
 
 
 @cache

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from caster.cli.inspection import Probe
     from caster.scene.model import Scene
 
-MAX_LISTED = 8  # primitives in the text; --json lists more
+MAX_LISTED = 8  # primitives in the text; --json lists all
 SURFACE = ("p", "n", "sh_n", "uv")  # names of RayHits.surfaces
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_pixel(parser)
-    adder(parser)("--json", bool, "as JSON, with more primitives")
+    adder(parser)("--json", bool, "as JSON, with all primitives that are hit")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,13 +52,9 @@ def probe_to_json(found: Probe, scene: Scene, args: argparse.Namespace) -> dict[
         "ray": {"o": o, "d": d, "t_min": t_min, "t_max": _finite(t_max)} if t_max >= 0.0 else None,
         "hit": hit,
         "tried": {"prims": int(view.packed.first[-1]), "shapes": len(scene.shapes)},
-        "near": [
-            {
-                **_hit(scene, tried.shape_id, tried.prim_id, tried.t),
-                "decided_by": tried.decided_by,
-                "t_off": _finite(tried.error) if math.isfinite(tried.t) else None,
-            }
-            for tried in found.tried
+        "alone": [
+            {**_hit(scene, shape_id, prim_id, t), "t_off": _finite(error)}
+            for t, shape_id, prim_id, error in found.alone
         ],
     }
 
@@ -89,14 +85,14 @@ def text_lines(found: dict[str, Any], scene: Scene) -> Iterator[str]:
         yield from _vector("       t", [hit["t"]])
         for name in SURFACE:
             yield from _vector(f"       {name}", hit[name])
-    if near := found["near"]:
-        yield f"near   {len(near)} of {found['tried']['prims']} primitives, each tested alone"
-    for tried in near[:MAX_LISTED]:
+    alone = found["alone"]
+    yield f"alone  {len(alone)} of {found['tried']['prims']} primitives are hit, or not decided by float64"
+    for tried in alone[:MAX_LISTED]:
         where = "missed" if tried["t"] is None else f"t {tried['t']!r:<24} {tried['t'].hex():<24}"
-        exactly = " (by integers: undecided in float64)" if tried["decided_by"] == "integers" else ""
+        exactly = " (by integers: undecided in float64)" if tried["t_off"] is None else ""
         yield f"       {where:<51} {_name(tried, scene)}{exactly}"
-    if len(near) > MAX_LISTED:
-        yield f"       and {len(near) - MAX_LISTED} less near (--json lists them)"
+    if len(alone) > MAX_LISTED:
+        yield f"       and {len(alone) - MAX_LISTED} more (--json lists them)"
 
 
 def _name(found: dict[str, Any], scene: Scene) -> str:

@@ -48,8 +48,7 @@ def preview(args: argparse.Namespace) -> int:
     output = args.output if args.output is not None else f"{Path(args.file).stem}.png"
     check_image_name("-o", output)
     image = exr_image(args.file, args.aov)
-    legend = f"{image.name}: {image.legend}"
-    write_image(output, image.pixels, {"Description": legend, "Source": Path(args.file).name})
-    print(f"{output}: {legend}", file=sys.stderr)
+    write_image(output, image.pixels)
+    print(f"{output}: {image.name}: {image.legend}", file=sys.stderr)
     print(output)
     return OK

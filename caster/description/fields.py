@@ -125,18 +125,25 @@ def plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def row(count: int, what: str) -> Callable[[Any], Any]:
-    """A validator for a list of `count` items, which are validated afterwards."""
+@dataclass(frozen=True)
+class RowOf:
+    """A list of `count` items, kept as a tuple; Any for type checkers: tuples, lists and arrays alike."""
 
-    def check(value: Any) -> Any:
+    item: Any
+    count: int
+    what: str  # in messages
+
+    def _items(self, value: Any) -> Any:
         items = plain(value)
         if not isinstance(items, (list, tuple)):
-            raise expectation_error(what, value)
-        if len(items) != count:
-            raise field_error(f"must be {what}, got {len(items)}: {format_value(items)}")
+            raise expectation_error(self.what, value)
+        if len(items) != self.count:
+            raise field_error(f"must be {self.what}, got {len(items)}: {format_value(items)}")
         return items
 
-    return check
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        items = handler.generate_schema(tuple.__class_getitem__((self.item,) * self.count))
+        return core_schema.no_info_before_validator_function(self._items, items)
 
 
 def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -156,26 +163,18 @@ FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees, 0 to 180,
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees, 0 (excluded) to 360
 Flag = Annotated[bool, Field(strict=True)]  # true or false
 
-Vec2: TypeAlias = Any  # for type checkers: tuples, lists and arrays alike
-Vec3: TypeAlias = Any
-SignedVec3: TypeAlias = Any
-RGB: TypeAlias = Any
-Reflectance: TypeAlias = Any
-if not TYPE_CHECKING:
-    _rgb = row(3, "3 numbers [r, g, b]")
-    Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]  # 2 numbers
-    _xyz = BeforeValidator(row(3, "3 numbers [x, y, z]"))
-    Vec3 = Annotated[tuple[Number, Number, Number], _xyz]  # 3 numbers
-    SignedVec3 = Annotated[tuple[SignedNumber, SignedNumber, SignedNumber], _xyz]  # 3 numbers, zeros with their signs
-    RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_rgb)]  # 3 numbers >= 0
-    Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]  # 3 numbers from 0 to 1
+Vec2 = Annotated[Any, RowOf(Number, 2, "2 numbers [x, y]")]  # 2 numbers
+Vec3 = Annotated[Any, RowOf(Number, 3, "3 numbers [x, y, z]")]  # 3 numbers
+SignedVec3 = Annotated[Any, RowOf(SignedNumber, 3, "3 numbers [x, y, z]")]  # 3 numbers, zeros with their signs
+RGB = Annotated[Any, RowOf(NonNegative, 3, "3 numbers [r, g, b]")]  # 3 numbers >= 0
+Reflectance = Annotated[Any, RowOf(Fraction01, 3, "3 numbers [r, g, b]")]  # 3 numbers from 0 to 1
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]  # 3 numbers, made unit length
 
-Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]  # 4 numbers
+Row = Annotated[Any, RowOf(Number, 4, "4 numbers")]  # 4 numbers
 Count = Annotated[int, Field(strict=True, gt=0, lt=2**31)]  # a whole number > 0
 Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]  # a whole number >= 0
-Face = Annotated[tuple[Index, Index, Index], BeforeValidator(row(3, "3 vertex numbers [i, j, k]"))]
-Scales = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(row(3, "3 lengths [x, y, z]"))]
+Face = Annotated[Any, RowOf(Index, 3, "3 vertex numbers [i, j, k]")]
+Scales = Annotated[Any, RowOf(Positive, 3, "3 lengths [x, y, z]")]
 
 Points = Annotated[NDArray[np.float64], ArrayOf(Vec3)]  # (n, 3) float64
 UVs = Annotated[NDArray[np.float64], ArrayOf(Vec2)]  # (n, 2) float64
@@ -279,12 +278,8 @@ def _three(value: Any) -> Any:
     return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
 
 
-Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]  # 4 rows of 4 numbers
-Factors: TypeAlias = Any
-if not TYPE_CHECKING:
-    Factors = Annotated[
-        Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)
-    ]  # 3 numbers, or one for all three
+Rows = Annotated[Any, RowOf(Row, 4, "4 rows of 4 numbers")]  # 4 rows of 4 numbers
+Factors = Annotated[Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)]  # 3 numbers, or one for all
 
 
 class Step(Description):

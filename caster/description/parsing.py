@@ -173,10 +173,10 @@ def located_error(
 
 
 def list_errors(errors: Sequence[Error], format_error: Callable[[Error], str], origin: str) -> str:
-    """The first errors, each on its lines, and how many more there are."""
+    """The first errors, or notes, each on its lines, and how many more there are."""
     listed = [format_error(error) for error in errors[:MAX_ERRORS_LISTED]]
     if len(errors) > len(listed):
-        listed.append(f"{origin}: and {len(errors) - len(listed)} more errors")
+        listed.append(f"{origin}: and {len(errors) - len(listed)} more")
     return "\n".join(listed)
 
 

@@ -13,8 +13,6 @@ from caster.description.fields import Description
 
 __all__ = ["Registry", "load_plugins", "type_name"]
 
-PLUGIN_GROUP = "caster.plugins"
-
 Entry = TypeVar("Entry", bound=Description)
 
 
@@ -47,7 +45,7 @@ class Registry(list[type[Entry]]):
         return entry
 
 
-def load_plugins(group: str = PLUGIN_GROUP) -> None:
+def load_plugins(group: str) -> None:
     """Import the modules of an entry-point group. Raises ImportError that names the plug-in."""
     for plugin in sorted(entry_points(group=group), key=lambda each: each.name):
         try:

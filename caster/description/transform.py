@@ -262,24 +262,6 @@ def _sine_and_cosine(angle: float) -> tuple[int, int, int]:
     return numerator * sinc, denominator * cosine, denominator << BITS
 
 
-LN2_HIGH, LN2_LOW = float.fromhex("0x1.62e42fefp-1"), float.fromhex("0x1.473de6af278edp-34")  # their sum is ln 2
-EXPONENTIAL_TERMS = 14  # of the series for |x| <= ln(2) / 2; the next one is below 2^-60
-
-
-def exponentials(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """e to the power of each x, within a few roundings; inf beyond float64.
-
-    x = k ln 2 + r with a whole k. k times the high part of ln 2, which has 32 bits, is exact.
-    """
-    k = np.rint(np.clip(x, -1100.0, 1100.0) * (1.0 / (LN2_HIGH + LN2_LOW)))
-    r = (np.clip(x, -1100.0, 1100.0) - k * LN2_HIGH) - k * LN2_LOW
-    series = np.ones_like(r)
-    for n in range(EXPONENTIAL_TERMS, 0, -1):
-        series = 1.0 + r * series / n
-    with np.errstate(over="ignore", under="ignore"):
-        return np.ldexp(series, k.astype(np.int64))
-
-
 def power(base: float, exponent: float) -> float:
     """base to the power of exponent, for base > 0."""
     return float(Context(prec=DIGITS).power(Decimal(base), Decimal(exponent)))

@@ -204,9 +204,10 @@ def concatenate_parts(parts: Sequence[Any]) -> Any:
 # Counts of rejected faces: not finite, too far out or degenerate (docs/scene-format.md, "Rejected faces").
 
 
-# The error of a component of a cross product of two differences is at most 4 u of its terms' magnitudes; u = 2^-53.
-# The error of products that underflow is 2^-1074, far below CROSS_UNDERFLOW.
-CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 5.0 * 2.0**-53, 2.0**-1000
+# The error of a component of a cross product of two differences is at most 4 u of its two terms, each of which is at
+# most the product of the largest components; u = 2^-53. The error of products that underflow is 2^-1074, far below
+# CROSS_UNDERFLOW.
+CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 10.0 * 2.0**-53, 2.0**-1000
 
 FACES_PER_CHUNK = 1 << 16  # faces; temporaries take some 300 bytes each, and there may be millions
 
@@ -229,9 +230,9 @@ def _count_degenerate(corners: np.ndarray) -> int:
     alike = (corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1)  # two corners in one place
     repeated, corners = int(alike.sum()), corners[~alike]
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    terms = np.roll(e, -1, axis=1) * np.roll(f, 1, axis=1), np.roll(e, 1, axis=1) * np.roll(f, -1, axis=1)
-    sure = np.abs(terms[0] - terms[1]) > CROSS_RELATIVE_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + CROSS_UNDERFLOW
-    return repeated + sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)])
+    error = CROSS_RELATIVE_ERROR * np.abs(e).max(axis=1) * np.abs(f).max(axis=1) + CROSS_UNDERFLOW
+    sure = np.abs(np.cross(e, f)).max(axis=1) > error
+    return repeated + sum(_is_degenerate(face) for face in corners[~sure])
 
 
 def _is_degenerate(face: np.ndarray) -> bool:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import opened_input
 from caster.image.exr_validation import (
-    Part,
     UnreadableExr,
     Window,
     check_all_read,
@@ -36,14 +35,13 @@ from caster.image.exr_validation import (
 )
 from caster.system.atomic_files import OutputError, atomic_write
 
-__all__ = ["NO_ID", "Exr", "OutputError", "Part", "UnreadableExr", "Window", "read_exr", "write_exr"]
+__all__ = ["NO_ID", "Exr", "OutputError", "UnreadableExr", "Window", "read_exr", "write_exr"]
 
 NO_ID = 0xFFFFFFFF
 """`id.shape` and `id.prim` of a pixel that hits nothing."""
 
 MAGIC = 20000630  # first four bytes of an EXR file, little endian
-DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
-VERSION, TILED, LONG_NAMES = 2, 0x200, 0x400  # flags of the files written here; names may be longer than 31 bytes
+VERSION, TILED, LONG_NAMES = 2, 0x200, 0x400  # of the files written here; names may be longer than 31 bytes
 ZIP, INCREASING_Y, ONE_LEVEL = 3, 0, 0  # values of attributes
 UINT, FLOAT = 0, 2  # types of channels
 
@@ -60,7 +58,7 @@ class Exr(NamedTuple):
     provenance: dict[str, str]  # string attributes, by names that begin with caster/
     data_window: Window  # x0, y0, x1, y1, pixels of the film that the channels hold; x1 and y1 are outside
     display_window: Window  # the whole film, in the same way
-    parts: tuple[Part, ...] = ()  # the parts of a multi-part file with their channels
+    parts: tuple[str, ...] = ()  # the names of the parts of a multi-part file
 
 
 def write_exr(
@@ -178,21 +176,19 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     read = _decode(path)
     check_all_read(path, headers, [part.name() for part in read])
     names = {part.name(): part.channels for part in read}
-    called = merged_channel_names(path, names) if len(read) > 1 else {}
+    called = merged_channel_names(path, names) if len(names) > 1 else {}
     header = read[0].header
     window = window_of(header["dataWindow"])
     channels: dict[str, np.ndarray] = {}
-    parts: list[Part] = []
     for part in read:
         mine = {called.get((part.name(), name), name): channel for name, channel in part.channels.items()}
         channels |= {name: _pixels(path, name, channel, window) for name, channel in mine.items()}
-        parts.append(Part(part.name(), tuple(sorted(mine))))
     return Exr(
         dict(sorted(channels.items())),
         merged_provenance(path, [part.header for part in read]),
         window,
         window_of(header["displayWindow"]),
-        tuple(parts) if len(parts) > 1 else (),
+        tuple(names) if len(names) > 1 else (),
     )
 
 
@@ -207,17 +203,14 @@ def _headers(path: Path) -> list[Any]:
         raise FileMissing(f"{path}: no such file")
     try:
         with opened_input(path, "EXR image") as file:
-            start = file.read(8)
+            start = file.read(4)
     except FileMissing as e:
         raise UnreadableExr(str(e)) from e
     if not start:
         raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
-    magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
-    if magic != MAGIC:
-        text = start[:4].decode("latin-1").strip()
+    if start != struct.pack("<I", MAGIC):
+        text = start.decode("latin-1").strip()
         raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with '{text}'")
-    if flags & DEEP and not flags & MULTI_PART:
-        raise UnreadableExr(f"{path}: a deep EXR has many samples per pixel; write a flat one")
     headers = [part.header for part in _decode(path, header_only=True)]
     check_parts(path, headers)
     return headers

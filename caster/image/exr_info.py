@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.image.exr import NO_ID, Part, read_exr
+from caster.image.exr import NO_ID, read_exr
 from caster.system.terminal import printable
 
 __all__ = ["hit_mask"]
@@ -47,7 +47,7 @@ def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
         "display_window": list(exr.display_window),
         "hit_pixels": None if mask is None else int(mask.sum()),
         "hit_channel": source or None,
-        "parts": [{"name": part.name, "channels": list(part.channels)} for part in exr.parts],
+        "parts": list(exr.parts),
         "channels": {name: {"type": TYPES[str(values.dtype)]} for name, values in exr.channels.items()},
         "provenance": dict(exr.provenance),
     }
@@ -59,8 +59,7 @@ def format_info(info: Mapping[str, Any]) -> str:
     if not info["data_window"] == info["display_window"] == [0, 0, info["width"], info["height"]]:
         lines.append(f"pixels {info['data_window']} of the film {info['display_window']} (x1 and y1 are outside)")
     if info["parts"]:
-        lines.append(f"{len(info['parts'])} parts as one image:")
-        lines += [f"  {_truncated(str(Part(part['name'], tuple(part['channels']))))}" for part in info["parts"]]
+        lines.append(f"{len(info['parts'])} parts as one image: {_truncated(', '.join(info['parts']))}")
     if info["hit_pixels"] is None:
         lines.append("hit pixels: unknown (no channel A, id.shape, id.prim or depth.Z)")
     else:

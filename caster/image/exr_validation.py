@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -110,17 +110,6 @@ def to_storable(name: str, values: np.ndarray, corner: tuple[int, int]) -> np.nd
 # Parts of these names hold the beauty image with channels R G B A; unnamed parts are numbered by the library and by
 # OpenImageIO.
 MAIN_PART_NAME = re.compile(r"(.*\.)?(rgba?|beauty|combined|main|part ?\d+|subimage ?\d+)", re.IGNORECASE)
-
-
-class Part(NamedTuple):
-    """A part of a file: its name, and the names of its channels in the merged image."""
-
-    name: str
-    channels: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Such as `depth (Z)`: channels without the prefix of the part."""
-        return f"{self.name} ({', '.join(name.removeprefix(f'{self.name}.') for name in self.channels)})"
 
 
 def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:

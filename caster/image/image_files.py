@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,25 +24,15 @@ def check_image_name(option: str, path: str) -> None:
         raise SceneError(f"{option} {path}: expected a name that ends in {join_words(IMAGE_FORMATS)}")
 
 
-def write_image(path: str, pixels: Array, about: Mapping[str, str] = {}) -> None:
-    """Write (h, w, 3) bytes as a .png or .tga file, deterministically. about: text chunks of a PNG.
-
-    Raises OutputError.
-    """
-    write_bytes(path, encode_image(pixels, IMAGE_FORMATS[Path(path).suffix.lower()], about))
+def write_image(path: str, pixels: Array) -> None:
+    """Write (h, w, 3) bytes as a .png or .tga file, deterministically. Raises OutputError."""
+    write_bytes(path, encode_image(pixels, IMAGE_FORMATS[Path(path).suffix.lower()]))
 
 
-def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> bytes:
+def encode_image(pixels: Array, kind: str) -> bytes:
     """Encode (h, w, 3) bytes in one of the formats of IMAGE_FORMATS."""
     from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
 
-    options: dict[str, Any] = {}
-    if kind == "PNG":
-        info = PngInfo()
-        for key, text in about.items():
-            info.add_itxt(key, text)
-        options = {"pnginfo": info, "optimize": True}
     out = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(out, kind, **options)
+    Image.fromarray(np.ascontiguousarray(pixels)).save(out, kind, optimize=True)  # which is an option of PNG alone
     return out.getvalue()

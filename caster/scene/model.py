@@ -33,10 +33,10 @@ from caster.description.fields import (
     Name,
     Positive,
     RefractiveIndex,
+    RowOf,
     Shape,
     UnitVec3,
     Vec3,
-    row,
 )
 from caster.description.registry import load_plugins
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
@@ -147,8 +147,7 @@ DEFAULT_MATERIAL = Diffuse()
 MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
 
 Pixels = Annotated[int, Field(strict=True, ge=1, le=MAX_FILM_SIDE)]  # a whole number from 1 to 65536
-_corners = row(4, "4 pixel indices [x0, y0, x1, y1]")
-Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]  # 4 whole numbers
+Window = Annotated[Any, RowOf(Index, 4, "4 pixel indices [x0, y0, x1, y1]")]  # 4 whole numbers
 
 
 class Film(Description):
@@ -175,20 +174,6 @@ class Film(Description):
     def window(self) -> tuple[int, int, int, int]:
         """The window to render, x0, y0, x1, y1: the crop, or the whole film."""
         return self.crop or (0, 0, self.width, self.height)
-
-    def resized(self, width: int, height: int) -> Self:
-        """A film of another resolution; the crop is scaled and rounded outwards to whole pixels."""
-        crop = self.crop and (
-            self.crop[0] * width // self.width,
-            self.crop[1] * height // self.height,
-            -(-self.crop[2] * width // self.width),
-            -(-self.crop[3] * height // self.height),
-        )
-        return type(self)(width=width, height=height, crop=crop)
-
-    def cropped(self, crop: Sequence[int]) -> Self:
-        """The same film with another crop window."""
-        return type(self)(width=self.width, height=self.height, crop=tuple(crop))
 
 
 class Shading(Description):
@@ -365,11 +350,18 @@ class Scene(Description):
     def with_film(
         self, *, width: int | None = None, height: int | None = None, crop: Sequence[int] | None = None
     ) -> Self:
-        """A copy with another film. Unless a crop is given, the crop is scaled with the film."""
-        film = self.film.resized(
-            self.film.width if width is None else width, self.film.height if height is None else height
-        )
-        return self._seen_anew(film=film if crop is None else film.cropped(crop))
+        """A copy with another film. Unless a crop is given, that of the film is scaled, to whole pixels around it."""
+        old = self.film
+        width, height = old.width if width is None else width, old.height if height is None else height
+        if crop is None and old.crop:
+            x0, y0, x1, y1 = old.crop
+            crop = (
+                x0 * width // old.width,
+                y0 * height // old.height,
+                -(-x1 * width // old.width),
+                -(-y1 * height // old.height),
+            )
+        return self._seen_anew(film=Film(width=width, height=height, crop=crop))
 
     def with_pixel(self, x: int, y: int) -> Self:
         """A copy whose window is one pixel. Raises SceneError for a pixel outside the film."""
@@ -442,4 +434,4 @@ def _accept_registered() -> None:
 
 
 SHAPES.changed = CAMERAS.changed = _accept_registered
-load_plugins()
+load_plugins("caster.plugins")

@@ -98,14 +98,13 @@ class Heightfield(MeshShape):
         """
         side = self.resolution + 1
         drawn = _draw(self.size, self.resolution, self.amplitude, self.waves, self.seed)
-        count, place = side * side, np.arange(side) / self.resolution
-        vertices, normals, uv = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
+        number = np.arange(side * side, dtype=np.int32)
+        uv = np.stack([number % side, number // side], axis=1) / self.resolution
+        vertices, normals = np.empty((len(uv), 3)), np.empty((len(uv), 3))
+        vertices[:, :2] = (uv - 0.5) * self.size
         rows = max(1, VERTICES_PER_CHUNK // side)
         for first in range(0, side, rows):  # along y
             some = slice(first, min(first + rows, side))
             band = slice(some.start * side, some.stop * side)
-            u, v = (axis.ravel() for axis in np.meshgrid(place, place[some]))
-            z, normals[band] = _surface(drawn, some)
-            vertices[band] = np.stack([(u - 0.5) * self.size, (v - 0.5) * self.size, z], axis=1)
-            uv[band] = np.stack([u, v], axis=1)
-        return Mesh(vertices, grid_faces(np.arange(count, dtype=np.int32).reshape(side, side)), normals, uv)
+            vertices[band, 2], normals[band] = _surface(drawn, some)
+        return Mesh(vertices, grid_faces(number.reshape(side, side)), normals, uv)

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import model_validator
 
 from caster.description.fields import Counts, Lengths, Points, Positive, Shape
 from caster.description.transform import cross, power, transform_points
-from caster.geometry.mesh_files import load_curves, load_once, readable
 from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement, inlined, jit
 from caster.kernels.exact.numbers import (
@@ -47,17 +46,7 @@ from caster.kernels.math.vec import (
     scaled,
     sub,
 )
-from caster.kernels.protocol import (
-    Vec3,
-    exact_intersect,
-    hull_point,
-    hull_size,
-    intersect,
-    load,
-    prepare,
-    same_geometry,
-    surface,
-)
+from caster.kernels.protocol import Vec3, exact_intersect, hull_point, hull_size, intersect, load, prepare, surface
 
 __all__ = ["LinearCurve", "RoundSegments"]
 
@@ -77,29 +66,21 @@ class RoundSegments(NamedTuple):
 
 
 class LinearCurve(Shape):
-    """Curves through `points` with the radius of each, or one `radius`; or a file with a line `x y z radius` for each.
+    """Curves through `points` with the radius of each, or one `radius`.
 
-    `counts`: how many of the points belong to each curve, all to one by default; an empty line of a file ends a curve.
-    Consecutive points make a primitive. Rays meet it where they enter it. Radii are scaled by the cube root of the
-    volume's scale of to_world.
+    `counts`: how many of the points belong to each curve, all to one by default. Consecutive points make a primitive.
+    Rays meet it where they enter it. Radii are scaled by the cube root of the volume's scale of to_world.
     """
 
     type: Literal["linear_curve"] = "linear_curve"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"points": ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
-    points: Points | None = None
+    points: Points
     radii: Lengths | None = None
     radius: Positive | None = None
     counts: Counts | None = None
-    file: Annotated[str | None, readable(load_curves)] = None
 
     @model_validator(mode="after")
-    def _has_one_source(self) -> "LinearCurve":
-        if (self.file is None) == (self.points is None):
-            raise ValueError(f"needs either file or points, got {'both' if self.file else 'neither'}")
-        if self.points is None:
-            if any(each is not None for each in (self.radii, self.radius, self.counts)):
-                raise ValueError("needs points for radii, radius and counts: a file has its own")
-            return self
+    def _has_whole_curves(self) -> "LinearCurve":
         count = len(self.points)
         if self.radii is not None and (self.radius is not None or len(self.radii) != count):
             raise ValueError(
@@ -113,10 +94,7 @@ class LinearCurve(Shape):
         return self
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (n, 3), radii (n,), and the number of points of each curve. Raises SceneError, FileMissing."""
-        if self.file is not None:
-            rows, counts = load_once(load_curves, self.file)
-            return rows[:, :3], rows[:, 3], counts
+        """Points (n, 3), radii (n,), and the number of points of each curve."""
         points = np.array(self.points)
         radii = np.full(len(points), self.radius or 1.0) if self.radii is None else np.array(self.radii)
         return points, radii, np.array([len(points)] if self.counts is None else self.counts)
@@ -255,12 +233,6 @@ def _cap(
 @inlined
 def _height_error(pre: Any, reach: float, off: float) -> float:
     return HEIGHT_ERROR * (reach + abs(pre.lift)) + 2.0 * off + TINY
-
-
-@implement(same_geometry, RoundSegments)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    same = row(prims.start, k) == row(prims.start, j) and row(prims.end, k) == row(prims.end, j)
-    return same and prims.radius[k, 0] == prims.radius[j, 0] and prims.radius[k, 1] == prims.radius[j, 1]
 
 
 @implement(exact_intersect, RoundSegments)

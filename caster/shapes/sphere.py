@@ -5,12 +5,11 @@ from inspect import unwrap
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
-from caster.description.errors import SceneError
 from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
 from caster.description.transform import inverse, rotations, transform_points, transform_vectors
-from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
+from caster.geometry.mesh_files import load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
@@ -62,7 +61,6 @@ from caster.kernels.protocol import (
     intersect,
     load,
     prepare,
-    same_geometry,
     surely_misses,
     surface,
     surface_setup,
@@ -136,13 +134,7 @@ class SphereCloud(Shape):
     centers: Points | None = None  # scene units
     radii: Lengths | None = None  # scene units
     radius: Positive | None = None  # scene units
-    file: str | None = None
-
-    @field_validator("file")
-    @classmethod
-    def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        radius = info.data.get("radius")
-        return info.context.resolve(file, lambda path: _load_file(path, radius)) if file and info.context else file
+    file: Annotated[str | None, readable(load_points)] = None
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "SphereCloud":
@@ -151,27 +143,21 @@ class SphereCloud(Shape):
         if self.radii is not None and (self.centers is None or len(self.radii) != len(self.centers)):
             count = 0 if self.centers is None else len(self.centers)
             raise ValueError(f"needs as many radii as centers, got {len(self.radii)} radii and {count} centers")
-        if self.radii is not None and self.radius is not None:
-            raise ValueError("needs either radii or radius, got both")
+        if self.radius is not None and self._given()[1] is not None:
+            raise ValueError("needs either radius or radii, its own or its file's, got both")
         return self
+
+    def _given(self) -> tuple[np.ndarray, Any]:
+        """Centres and radii, or None, of the lists or of the file."""
+        return (np.array(self.centers), self.radii) if self.file is None else load_once(load_points, self.file)
 
     def spheres(self) -> tuple[np.ndarray, np.ndarray]:
         """Centres (n, 3) and radii (n,) in object space. Raises SceneError, FileMissing for a file."""
-        given = np.array(self.centers), self.radii
-        centers, radii = given if self.file is None else _load_file(self.file, self.radius)
+        centers, radii = self._given()
         return centers, np.full(len(centers), self.radius or 1.0) if radii is None else np.array(radii)
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(*self.spheres(), self.matrix, rounded)
-
-
-def _load_file(file: str, radius: float | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Centres (n, 3) and radii (n,) of a file, cached until it changes. radius: the key of the shape."""
-    centers, radii = load_once(load_points, file)
-    if radii is not None and radius is not None:
-        expected = "expected vertices without a property radius, since the shape has the key 'radius'"
-        raise SceneError(f"{file}: {expected}, got one: leave out one of the two")
-    return centers, radii
 
 
 def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding) -> Spheres | Ellipsoids:
@@ -188,11 +174,10 @@ def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rou
 
 
 class EllipsoidCloud(Shape):
-    """Many ellipsoids as one shape, visible from outside only: `centers`, `scales` and `quaternions`, or a PLY file.
+    """Many ellipsoids as one shape, visible from outside only: `centers`, `scales` and `quaternions`.
 
-    Semi-axes are `extent` times `scales`; quaternions [x, y, z, w] of any length rotate them. A file has the
-    properties of Gaussian splats, which Mitsuba reads: x, y, z, the logarithms scale_0 to scale_2, and the quaternion
-    rot_0 (w), rot_1 to rot_3. Primitives are numbered in the order of the list.
+    Semi-axes are `extent` times `scales`; quaternions [x, y, z, w] of any length rotate them. Primitives are numbered
+    in the order of the lists.
     """
 
     type: Literal["ellipsoids"] = "ellipsoids"
@@ -201,31 +186,25 @@ class EllipsoidCloud(Shape):
         "scales": ((1.0, 1.0, 1.0),),
         "quaternions": ((0.0, 0.0, 0.0, 1.0),),
     }
-    centers: Points | None = None
-    scales: LengthTriples | None = None
-    quaternions: Quaternions | None = None
+    centers: Points
+    scales: LengthTriples
+    quaternions: Quaternions
     extent: Positive = 1.0
-    file: Annotated[str | None, readable(load_ellipsoids)] = None
 
     @model_validator(mode="after")
-    def _has_one_source(self) -> "EllipsoidCloud":
-        counts = [0 if each is None else len(each) for each in (self.centers, self.scales, self.quaternions)]
-        if (self.file is None) != all(counts) or len({*counts}) != 1:
-            expected = "needs either file, or as many centers as scales and quaternions"
-            got = "{} centers, {} scales, {} quaternions".format(*counts)
-            raise ValueError(f"{expected}, got {got} and {'a' if self.file else 'no'} file")
-        if self.quaternions is not None and not self.quaternions.any(axis=1).all():
-            place = int(np.argmin(self.quaternions.any(axis=1)))
-            raise ValueError(f"needs quaternions other than 0, got 0 as number {place}")
+    def _has_all_of_each(self) -> "EllipsoidCloud":
+        counts = len(self.centers), len(self.scales), len(self.quaternions)
+        if len({*counts}) != 1:
+            expected = "needs as many centers as scales and quaternions"
+            raise ValueError("{}, got {} centers, {} scales, {} quaternions".format(expected, *counts))
+        turned = self.quaternions.any(axis=1)
+        if not turned.all():
+            raise ValueError(f"needs quaternions other than 0, got 0 as number {int(np.argmin(turned))}")
         return self
 
     def ellipsoids(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres (n, 3), scales (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
-        given = self.centers, self.scales, self.quaternions
-        centers, scales, quaternions = map(
-            np.array, given if self.file is None else load_once(load_ellipsoids, self.file)
-        )
-        return centers, scales, quaternions
+        """Centres (n, 3), scales (n, 3) and quaternions (n, 4) in object space."""
+        return np.array(self.centers), np.array(self.scales), np.array(self.quaternions)
 
     def pack(self, rounded: Rounding) -> OuterEllipsoids:
         centers, scales, quaternions = self.ellipsoids()
@@ -261,11 +240,6 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 @implement(surely_misses, Spheres)
 def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
     return closest_approach(pre, d, 0.0).missed
-
-
-@implement(same_geometry, Spheres)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    return row(prims.center, k) == row(prims.center, j) and prims.radius[k] == prims.radius[j]
 
 
 @implement(exact_intersect, Spheres)

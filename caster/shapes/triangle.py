@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator
 
-from caster.description.fields import Flag, UnitVec3, Vec2, Vec3, row
+from caster.description.fields import Flag, RowOf, UnitVec3, Vec2, Vec3
 from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import TriangleShape
 
@@ -18,9 +17,9 @@ class Triangle(TriangleShape):
 
     type: Literal["triangle"] = "triangle"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}
-    vertices: Annotated[tuple[Vec3, Vec3, Vec3], BeforeValidator(row(3, "3 points"))]  # scene units
-    normals: Annotated[tuple[UnitVec3, UnitVec3, UnitVec3], BeforeValidator(row(3, "3 directions"))] | None = None
-    uv: Annotated[tuple[Vec2, Vec2, Vec2], BeforeValidator(row(3, "3 pairs [u, v]"))] | None = None
+    vertices: Annotated[Any, RowOf(Vec3, 3, "3 points")]  # scene units
+    normals: Annotated[Any, RowOf(UnitVec3, 3, "3 directions")] | None = None
+    uv: Annotated[Any, RowOf(Vec2, 3, "3 pairs [u, v]")] | None = None
     flip_normals: Flag = False
 
     def mesh(self) -> Mesh:

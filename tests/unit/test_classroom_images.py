@@ -7,7 +7,7 @@ from PIL import Image
 from caster.__main__ import main
 from caster.classroom.course_files import load_course_scene
 from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
-from caster.cli import course_6837
+from caster.description import parsing
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -142,16 +142,6 @@ def test_shadows_fall_where_they_are_requested(tmp_path):
     assert 40 < darker.sum() < 200 and lit[darker].min() > 0.0 and cast[darker].max() == 0.0
 
 
-def test_our_own_diffuse_is_the_same_where_our_model_has_the_light(tmp_path):
-    """An independent way to the same colours: caster.render of the scene, which has lights of its own units."""
-    import caster
-
-    course = course_of(tmp_path, SPHERE, rest=SUN + FAINT)
-    ours = caster.render(course.scene, ("diffuse",))
-    mine = render_course(course)
-    assert np.allclose(ours["diffuse"][mine.hit], mine.color[mine.hit], rtol=1e-14, atol=1e-15)
-
-
 def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     course_of(tmp_path, SPHERE, rest=LAMP + FAINT)
@@ -165,9 +155,9 @@ def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monk
     assert np.array_equal(pixels_of("d.tga"), depth_image(expected, -2.0, 12.0))
     assert np.array_equal(pixels_of("n.png"), normal_image(expected))
     listed = said.err.splitlines()
-    monkeypatch.setattr(course_6837, "MAX_LISTED", len(listed) - 1)
+    monkeypatch.setattr(parsing, "MAX_ERRORS_LISTED", len(listed) - 1)
     assert main(["6837", *words.split()]) == 0
-    assert capsys.readouterr().err.splitlines() == [*listed[:-1], "and 1 more left out"]
+    assert capsys.readouterr().err.splitlines() == [*listed[:-1], "s.txt: and 1 more"]
 
 
 @pytest.mark.parametrize(

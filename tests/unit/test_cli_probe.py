@@ -71,13 +71,10 @@ def test_the_numbers_of_json_are_exact(folder, capsys):
     o, d = (vectors[0].tolist() for vectors in expected.view.rays[:2])
     assert found["ray"] == {"o": o, "d": d, "t_min": 0.0, "t_max": None}
     assert found["hit"]["t"] == expected.view.nearest.t[0] and [found["hit"]["n"]] == expected.view.normal.tolist()
-    assert [near["t"] for near in found["near"][:2]] == [tried.t for tried in expected.tried[:2]]
+    assert [each["t"] for each in found["alone"]] == [each.t for each in expected.alone]
     assert (found["scene"], found["pixel"], found["film"]) == ("s.toml", [7, 3], [12, 9])
-    assert [(hit["shape"], hit["type"]) for hit in found["near"] if hit["t"] is not None][:2] == [
-        ("box", "cube"),
-        ("ball", "sphere"),
-    ]
-    assert found["hit"].items() >= {name: found["near"][0][name] for name in ("shape", "t", "prim_id")}.items()
+    assert [(hit["shape"], hit["type"]) for hit in found["alone"]][:2] == [("box", "cube"), ("ball", "sphere")]
+    assert found["hit"].items() >= {name: found["alone"][0][name] for name in ("shape", "t", "prim_id")}.items()
     assert found["tried"] == {"prims": 14, "shapes": 3}
 
 
@@ -89,8 +86,8 @@ def test_the_text_shows_ray_hit_and_near_primitives(folder, capsys):
     assert said.startswith("pixel (7, 3) of s.toml, film 12 x 9\nray    o      0.3  0.4  5.0\n")
     assert f'hit    shapes[2] (cube "box"), prim {prim - 2}\n' in said
     assert repr(float(t)) in said and float(t).hex() in said
-    assert "near   14 of 14 primitives, each tested alone" in said and "and 6 less near (--json lists them)" in said
-    assert said.index('shapes[0] (sphere "ball"), prim 0') < said.index("shapes[1] (plane), prim 0")
+    assert "alone  4 of 14 primitives are hit, or not decided by float64\n" in said
+    assert said.index('shapes[2] (cube "box"), prim') < said.index('shapes[0] (sphere "ball"), prim 0')
 
 
 def test_a_miss_is_stated_and_no_failure(folder, capsys):
@@ -105,7 +102,7 @@ def test_a_pixel_without_a_ray_is_stated_to_have_none(folder, capsys):
     assert main(["probe", "s.toml", "0", "0"]) == 0
     assert "no ray: the pixel lies outside the image circle of the fisheye camera" in capsys.readouterr().out
     found = probed(capsys, 0, 0)
-    assert found["ray"] is None and found["hit"] is None and found["near"] == []
+    assert found["ray"] is None and found["hit"] is None and found["alone"] == []
 
 
 # ---- every primitive by itself ----
@@ -152,13 +149,13 @@ def test_each_primitive_answers_as_if_it_stood_alone(folder):
     kinds = set()
     for x, y in ((5, 4), (7, 3), (0, 0)):
         found = probe(scene, x, y)
-        assert len(found.tried) == 80 + 3
-        for tried in found.tried[:: 7 if x else 23]:
-            alone = caster.cast(single(scene, tried.shape_id, tried.prim_id), *found.view.rays[:2])
-            assert tried.t == alone.t[0]
-            kinds.add((tried.shape_id, bool(np.isfinite(tried.t))))
-        hits = [tried for tried in found.tried if np.isfinite(tried.t)]
-        assert [tried.t for tried in hits] == sorted(tried.t for tried in hits)
+        hits = [each for each in found.alone if np.isfinite(each.t)]
+        t_of = {(each.shape_id, each.prim_id): each.t for each in hits}
+        for shape_id, prim_id in [*t_of, (0, 79), (1, 0), (2, 0), (3, 0)]:
+            alone = caster.cast(single(scene, shape_id, prim_id), *found.view.rays[:2])
+            assert t_of.get((shape_id, prim_id), np.inf) == alone.t[0]
+            kinds.add((shape_id, bool(alone.hit[0])))
+        assert [each.t for each in hits] == sorted(t_of.values())
         assert found.view.hit[0] == bool(hits)
         assert not hits or (hits[0].shape_id, hits[0].prim_id) == (found.view.shape_id[0], found.view.prim_id[0])
     assert len(kinds) >= 3
@@ -166,16 +163,16 @@ def test_each_primitive_answers_as_if_it_stood_alone(folder):
 
 def test_a_ray_through_an_edge_is_decided_by_integers(capsys):
     path = str(SCENES / "shared-edges-cube.toml")
-    on_edge, other = probe(caster.load_scene(path).with_film(width=15, height=15), 7, 7).tried[:2]
-    assert on_edge.t == other.t == 1.0 and on_edge.decided_by == "integers"
+    on_edge, other = probe(caster.load_scene(path).with_film(width=15, height=15), 7, 7).alone[:2]
+    assert on_edge.t == other.t == 1.0 and on_edge.error == np.inf
     assert main(["probe", path, "7", "7", "--size", "15", "15"]) == 0
     assert "integers: undecided in float64" in capsys.readouterr().out
 
 
-def test_of_many_primitives_the_near_ones_are_shown(folder, capsys):
+def test_of_many_primitives_those_that_are_hit_are_shown(folder, capsys):
     (folder / "s.toml").write_text(MESH.replace("subdivisions = 1", "subdivisions = 4"))
     found = probed(capsys, 5, 4)
-    assert found["tried"]["prims"] == 20 * 4**4 + 3 and len(found["near"]) == 256
-    assert found["near"][0].items() >= {k: v for k, v in found["hit"].items() if k in ("t", "prim_id")}.items()
-    hits = [each for each in found["near"] if each["t"] is not None]
-    assert len([each for each in hits if each["shape"] == "mesh"]) == 2  # a closed mesh: in and out
+    assert found["tried"]["prims"] == 20 * 4**4 + 3
+    assert found["alone"][0].items() >= {k: v for k, v in found["hit"].items() if k in ("t", "prim_id")}.items()
+    hits = [each["shape"] for each in found["alone"] if each["t"] is not None]
+    assert hits.count("mesh") == 2  # a closed mesh: in and out

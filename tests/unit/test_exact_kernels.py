@@ -13,7 +13,6 @@ from caster.kernels.math.vec import UNDECIDED
 from caster.kernels.nearest import KeepFirst, first_of, hit_by_float64, no_hits, store_first
 from caster.kernels.protocol import same_geometry
 from caster.kernels.triangles import Triangles
-from caster.shapes.sphere import Spheres
 
 RNG = np.random.default_rng(70)
 
@@ -213,11 +212,3 @@ def test_geometry_is_the_same_where_all_of_its_numbers_are():
             prims.vertices[9 + vertex, axis] = math.nextafter(kept, 9.0)
             assert not same_geometry(prims, 1, 3) and not same_geometry(prims, 3, 1)
             prims.vertices[9 + vertex, axis] = kept
-    center, radius = np.array([[1.0, 2.0, 3.0]] * 2), np.array([0.5, 0.5])
-    spheres = Spheres(center, radius, np.tile(np.eye(3), (2, 1, 1)))
-    assert same_geometry(spheres, 0, 1)
-    for numbers in (radius[1:], *(center[1:, axis] for axis in range(3))):
-        kept = numbers[0]
-        numbers[0] = math.nextafter(kept, 9.0)
-        assert not same_geometry(spheres, 0, 1)
-        numbers[0] = kept

@@ -210,7 +210,7 @@ def test_a_missing_file_is_file_missing(tmp_path):
         (b"v/1", "starts with 'v/1'"),
         (b"v/1\x01", "truncated"),
         (b"v/1\x01\x02\0\0\0", "truncated"),
-        (b"v/1\x01\x02\x08\0\0channels", "deep"),
+        (b"v/1\x01\x02\x08\0\0channels", "truncated"),
         (b"v/1\x01\x02\x10\0\0channels", "truncated"),
     ],
 )

@@ -1,5 +1,6 @@
 """Multi-part EXR files of other programs are read as one image, or refused with the reason."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -51,14 +52,15 @@ def of(*names: str) -> dict[str, np.ndarray]:
     ids=str,
 )
 def test_a_channel_is_called_after_its_layer_or_else_after_its_part(tmp_path, parts, called):
-    given = {part: {n: ramp(i) for i, n in enumerate(names)} for part, names in parts.items()}
+    seeds = itertools.count()
+    given = {part: {n: ramp(next(seeds)) for n in names} for part, names in parts.items()}
     read = read_exr(save(tmp_path / "a.exr", given))
     assert list(read.channels) == called.split()
-    assert [part.name for part in read.parts] == list(parts)
-    assert sorted(name for part in read.parts for name in part.channels) == called.split()
-    for part in read.parts:
-        bits = [read.channels[name].tobytes() for name in part.channels]
-        assert sorted(bits) == sorted(a.tobytes() for a in given[part.name].values())
+    assert list(read.parts) == list(parts)
+    for part, channels in given.items():
+        for name, values in channels.items():
+            (found,) = (each for each, other in read.channels.items() if np.array_equal(values, other))
+            assert found in (name, f"{part}.{name}")
 
 
 def test_provenance_is_that_of_all_parts_and_types_are_kept(tmp_path):
@@ -94,6 +96,7 @@ REFUSED = {
         {"cloud": DEEP},
         "deep data, many samples per pixel, in part 'cloud'; write flat parts",
     ),
+    "deep alone": ({"cloud": {"Z": deep()}}, {"cloud": DEEP}, "deep data, many samples per pixel, in part 'cloud'"),
     "views": (
         {"rgba.left": of("A"), "rgba.right": of("A")},
         {"rgba.left": {"view": "left"}, "rgba.right": {"view": "right"}},
@@ -132,7 +135,7 @@ def test_info_lists_the_parts(tmp_path, capsys):
     path = save(tmp_path / "a.exr", {"rgba": of("R", "A"), "depth": of("Z")})
     assert caster_main(["info", str(path)]) == 0
     out = capsys.readouterr().out
-    assert "2 parts as one image:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out
+    assert "2 parts as one image: rgba, depth\n" in out and "depth.Z  float" in out
 
 
 @pytest.mark.parametrize("second", [ramp(), np.full(SHAPE, np.nan, np.float32)], ids=["good", "NaN"])

@@ -63,7 +63,7 @@ def test_of_thousands_of_errors_fifty_are_listed():
         scene_from_text(CAMERA + wrong)
     lines = str(found.value).splitlines()
     assert len([line for line in lines if "radius must be" in line]) == parsing.MAX_ERRORS_LISTED
-    assert lines[-1] == "<string>: and 2950 more errors"
+    assert lines[-1] == "<string>: and 2950 more"
 
 
 @pytest.mark.parametrize(

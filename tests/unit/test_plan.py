@@ -11,7 +11,6 @@ from places import ROOT
 
 from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
-from caster.aovs import BY_NAME
 from caster.cameras import Ray
 from caster.cli.inspection import account
 from caster.jit.kernel_cache import COMPILED
@@ -37,14 +36,14 @@ def told(a_scene, *aovs, **how):
 @pytest.mark.parametrize("camera", [Fisheye, Panorama, Parabolic])
 def test_cameras_that_bend_lines_grow_no_tree_either(camera):
     what = told(scene(camera), "depth", "normal")
-    assert what["culling"]["name"] == "raster" and what["trees"]["grown"] == 0
+    assert what["culling"]["name"] == "raster" and not any(kind["nodes"] for kind in what["primitives"])
     assert "bounding sphere" in what["culling"]["reason"]
 
 
 def test_a_pinhole_without_shadows_grows_no_tree():
     lit = scene(lights=[LAMP], shading={"shadows": False})
     for what in (told(lit, "depth", "normal"), told(lit, "diffuse")):
-        assert what["trees"] == {"runs": False, "reason": "no ray needs one", "grown": 0}
+        assert what["trees"] == {"runs": False, "reason": "no ray needs one"}
         assert all(kind["nodes"] == 0 for kind in what["primitives"])
 
 
@@ -58,8 +57,8 @@ def test_a_pinhole_without_shadows_grows_no_tree():
 )
 def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov, reason):
     what = told(a_scene, aov)
-    assert what["trees"] == {"runs": True, "reason": reason, "grown": 1}  # one ball is too few for a tree
-    assert [kind["nodes"] > 10 for kind in what["primitives"]] == [False, True]
+    assert what["trees"] == {"runs": True, "reason": reason}
+    assert [kind["nodes"] > 10 for kind in what["primitives"]] == [False, True]  # one sphere is too few for a tree
 
 
 def test_shadow_rays_are_those_of_hits_that_face_the_light():
@@ -121,12 +120,11 @@ def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, cap
     assert main(["render", "s.toml", "--aov", "depth,normal", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48
-    assert data["skipped_aovs"] == [name for name in BY_NAME if name not in ("depth", "normal")]
     assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
     words = capsys.readouterr().out
     assert f"culling          name {data['culling']['name']}, reason {data['culling']['reason']}\n" in words
     assert f"surfaces         hits {data['surfaces']['hits']}, worked out normals, " in words
-    assert f"trees            runs no, reason {data['trees']['reason']}, grown 0\n" in words
+    assert f"trees            runs no, reason {data['trees']['reason']}\n" in words
 
 
 LONELY = """[film]
@@ -157,9 +155,10 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tm
     assert len(used) <= 12, used
 
 
-def test_without_culling_every_ray_tests_all_primitives():
+def test_without_culling_no_tree_is_grown():
     what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="brute-force")
-    assert {kind["way"] for kind in what["primitives"]} == {"tested by every ray"}
+    assert what["culling"] == {"name": "brute-force", "reason": "as requested"}
+    assert [kind["nodes"] for kind in what["primitives"]] == [0, 0]
 
 
 EVERYTHING_ASKED = """

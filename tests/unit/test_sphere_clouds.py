@@ -98,10 +98,10 @@ REFUSED = {
     "{centers = [[0, 0, 0]], radii = [-1]}": "radii[0] must be > 0, got -1",
     "{centers = [[0, 0, 0]], radii = [1, 2]}": "needs as many radii as centers, got 2 radii and 1 centers",
     '{file = "a.ply", radii = [1]}': "needs as many radii as centers, got 1 radii and 0 centers",
-    "{centers = [[0, 0, 0]], radii = [1], radius = 2}": "needs either radii or radius, got both",
-    '{file = "a.ply", radius = 2}': "expected vertices without a property radius, since the shape has the key",
+    "{centers = [[0, 0, 0]], radii = [1], radius = 2}": "needs either radius or radii, its own or its file's, got both",
+    '{file = "a.ply", radius = 2}': "needs either radius or radii, its own or its file's, got both",
     '{file = "no.ply"}': "cannot be used: cannot read this file of points",
-    '{file = "a.obj"}': "unknown format of points '.obj': expected .ply",
+    '{file = "a.obj"}': "PLY header: expected the line 'ply', got 'v 0 0 0",
 }
 
 

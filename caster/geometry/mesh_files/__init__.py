@@ -19,20 +19,12 @@ from pydantic import AfterValidator
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
-from caster.description.transform import (
-    compose,
-    exponentials,
-    is_mirrored,
-    rotations,
-    scale,
-    transform_points,
-    translate,
-)
-from caster.geometry.mesh_files.obj import parse_obj, quote_bytes, read_numbers
+from caster.description.transform import compose, is_mirrored, rotations, scale, transform_points, translate
+from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import POSITION, parse_off, parse_ply, parse_ply_vertices
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
-__all__ = ["MeshFolders", "load_ellipsoids", "load_points"]
+__all__ = ["MeshFolders", "load_points"]
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
@@ -65,56 +57,9 @@ def load_points(path: str | PathLike[str]) -> tuple[Any, Any]:
 
     Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
     """
-    rows = parse_ply_vertices(_read_point_file(path), str(path), POSITION, "radius")
+    data = read_input(str(path), "file of points", MAX_MESH_BYTES)
+    rows = parse_ply_vertices(data, str(path), POSITION, "radius")
     return rows[:, :3], rows[:, 3] if rows.shape[1] > 3 else None
-
-
-def _read_point_file(path: str | PathLike[str]) -> bytes:
-    if (ending := Path(path).suffix).lower() != ".ply":
-        raise SceneError(f"{path}: unknown format of points '{ending}': expected .ply")
-    return read_input(str(path), "file of points", MAX_MESH_BYTES)
-
-
-SPLAT = (*POSITION, "scale_0", "scale_1", "scale_2", "rot_1", "rot_2", "rot_3", "rot_0")
-
-
-def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
-    """Read the vertices of a PLY file as ellipsoids: centres (n, 3), scales (n, 3), quaternions x, y, z, w (n, 4).
-
-    Scales are stored as logarithms, as for Gaussian splats. Raises FileMissing for a file that cannot be read,
-    SceneError for one without these properties.
-    """
-    rows = parse_ply_vertices(_read_point_file(path), str(path), SPLAT)
-    turned = rows[:, 6:].any(axis=1)
-    if not turned.all():
-        raise SceneError(f"{path}: vertex {int(np.argmin(turned))}: expected a rotation, got 0, 0, 0, 0")
-    return rows[:, :3], exponentials(rows[:, 3:6]), rows[:, 6:]
-
-
-def load_curves(path: str | PathLike[str]) -> tuple[Any, Any]:
-    """Read a text file of curves: rows x, y, z, radius (n, 4), and the number of rows of each curve (m,).
-
-    An empty line ends a curve, as in Mitsuba. Raises FileMissing for a file that cannot be read, SceneError with its
-    line for one that has something else.
-    """
-    rows: list[list[float]] = []
-    counts = [0]
-    for number, line in enumerate(read_input(str(path), "file of curves", MAX_MESH_BYTES).split(b"\n"), 1):
-        place = f"{path}:{number}"
-        words = line.split()
-        row = read_numbers(words, place)
-        if words and not (len(row) == 4 and np.isfinite(row).all() and row[3] > 0.0):
-            raise SceneError(f"{place}: expected x, y, z and a radius > 0, got {quote_bytes(line.strip())}")
-        if words:
-            rows.append(row)
-            counts[-1] += 1
-        elif counts[-1]:
-            counts.append(0)
-    sizes = np.array(counts if counts[-1] else counts[:-1])
-    if not len(sizes) or sizes.min() < 2:
-        got = f"one of {sizes.min()}, number {np.argmin(sizes)}" if len(sizes) else "none"
-        raise SceneError(f"{path}: expected curves of at least 2 points, got {got}")
-    return np.array(rows), sizes
 
 
 Loaded = TypeVar("Loaded")
