@@ -75,7 +75,6 @@ def defect_features(
             _kind(model, int(hit[i])),
             _kind(model, prim),
             where=frozenset(hit.where for hit in answer.ties),
-            flags=answer.flags,
             t=t,
             at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prim, o[i], d[i]),
             cosine=min(ours.cosine, theirs.cosine),

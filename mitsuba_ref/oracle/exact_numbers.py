@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from fractions import Fraction
+from functools import total_ordering
 from typing import NamedTuple, Union
 
 import numpy as np
@@ -96,6 +97,7 @@ def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
     return first * sign_with_root(a * a - b * b * r - c * c * s, -2 * b * c, r * s)
 
 
+@total_ordering
 class Root:
     """The real number (p + q sqrt(r)) / s 2^e. Compares exactly with Root, int, float and Fraction."""
 
@@ -139,15 +141,6 @@ class Root:
 
     def __lt__(self, other: Number) -> bool:
         return self.compare(other) < 0
-
-    def __le__(self, other: Number) -> bool:
-        return self.compare(other) <= 0
-
-    def __gt__(self, other: Number) -> bool:
-        return self.compare(other) > 0
-
-    def __ge__(self, other: Number) -> bool:
-        return self.compare(other) >= 0
 
     def __repr__(self) -> str:
         return f"Root({float(self)!r})"
