@@ -30,12 +30,9 @@ def infinite_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     return -everywhere, everywhere
 
 
-def plane_surface(plane: Sequence[Vector]) -> ImplicitSurface:
-    normal, point = plane
-    return ImplicitSurface(point, (normal,))
-
-
-PLANES = ExactKind(infinite_boxes, plane_vectors, intersect_plane, surface=plane_surface)
+PLANES = ExactKind(
+    infinite_boxes, plane_vectors, intersect_plane, surface=lambda plane: ImplicitSurface(plane[1], (plane[0],))
+)
 
 
 # Exact ray-triangle intersection by the signs of three determinants.
@@ -259,11 +256,6 @@ def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     return boxes_around(prims.center, prims.radius[:, None])
 
 
-def sphere_surface(sphere: Sequence[Vector]) -> ImplicitSurface:
-    center, (radius, *_) = sphere
-    return ImplicitSurface(center, size=radius)
-
-
 def ellipsoid_surface(affine: Sequence[Vector]) -> ImplicitSurface:
     """In object space scaled by the determinant; the rows are those of the adjugate."""
     center, *columns = affine
@@ -280,7 +272,9 @@ def disk_surface(affine: Sequence[Vector]) -> ImplicitSurface:
     return ImplicitSurface(around.origin, around.rows[2:])
 
 
-SPHERES = ExactKind(sphere_boxes, sphere_vectors, intersect_sphere, surface=sphere_surface)
+SPHERES = ExactKind(
+    sphere_boxes, sphere_vectors, intersect_sphere, surface=lambda sphere: ImplicitSurface(sphere[0], size=sphere[1][0])
+)
 # Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
 SEGMENTS = ExactKind(segment_boxes, segment_vectors, enter_segment)
 ELLIPSOIDS = ExactKind(affine_boxes, affine_vectors, intersect_ellipsoid, surface=ellipsoid_surface)

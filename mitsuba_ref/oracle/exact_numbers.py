@@ -40,12 +40,6 @@ def scaled_vectors(rows: np.ndarray) -> IntegerVectors:
     return IntegerVectors(list(zip(n[::3], n[1::3], n[2::3], strict=True)), k)
 
 
-def in_units_of_both(vectors: IntegerVectors, ray: IntegerRay) -> tuple[list[Integers3], int, IntegerRay]:
-    """(vectors, bits that shift them into the units of the ray's origin, ray in units no larger than theirs)."""
-    ko = max(vectors.k, ray.ko)
-    return vectors.v, ko - vectors.k, IntegerRay(shifted(ray.o, ko - ray.ko), ko, ray.d, ray.kd)
-
-
 def integer_rays(o: np.ndarray, d: np.ndarray) -> Iterator[IntegerRay]:
     """The rays o, d (n, 3), finite, in integers."""
     for origin, direction in zip(o, d, strict=True):

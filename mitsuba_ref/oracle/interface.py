@@ -84,7 +84,7 @@ class ExactAnswer(NamedTuple):
 
 def check_rays(o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
     """Raise OutsideDomain, naming the first invalid ray. o, d: (n, 3); t_min, t_max: (n,)."""
-    fits = np.logical_and.reduce(np.isfinite([*o.T, *d.T])) & np.logical_or.reduce([*(d != 0.0).T])
+    fits = np.isfinite(o).all(axis=1) & np.isfinite(d).all(axis=1) & d.any(axis=1)
     bad = np.flatnonzero(~fits | np.isnan(t_min) | np.isnan(t_max))
     if len(bad):
         i = int(bad[0])

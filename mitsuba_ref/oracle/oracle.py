@@ -8,16 +8,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mitsuba_ref.oracle.boxes import BoxTree
-from mitsuba_ref.oracle.exact_numbers import (
-    IntegerRay,
-    IntegerVectors,
-    Root,
-    in_units_of_both,
-    integer_rays,
-    scaled_vectors,
-)
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, IntegerVectors, Root, integer_rays, scaled_vectors, shifted
 from mitsuba_ref.oracle.interface import EXACT_KINDS, ExactAnswer, ExactHit, ExactKind, OutsideDomain, Roots, check_rays
 
 __all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root"]
@@ -34,18 +28,16 @@ class Oracle:
         """
         self.primitives = PrimitiveIndex([part_of(kind.prims, np.asarray(kind.ids)) for kind in packed.kinds])
 
-    def first_hit(
-        self, o: Iterable[float], d: Iterable[float], t_min: float = 0.0, t_max: float = math.inf
-    ) -> ExactAnswer:
+    def first_hit(self, o: ArrayLike, d: ArrayLike, t_min: float = 0.0, t_max: float = math.inf) -> ExactAnswer:
         """The first hit of the ray o + t d at t_min < t <= t_max. o, d: three floats each.
 
         Raises OutsideDomain for a ray that is not finite or has no direction.
         """
-        (answer,) = self.first_hits(np.array([[*o]], np.float64), np.array([[*d]], np.float64), t_min, t_max)
+        (answer,) = self.first_hits(o, d, t_min, t_max)
         return answer
 
     def first_hits(
-        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
+        self, o: ArrayLike, d: ArrayLike, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
     ) -> list[ExactAnswer]:
         """First hits of rays o, d (n, 3); t_min, t_max: (n,) or one for all. Faster per ray than first_hit.
 
@@ -107,7 +99,9 @@ class PrimitiveArray(NamedTuple):
     def intersect(self, k: int, ray: IntegerRay) -> Roots:
         if k not in self.ready:
             self.ready[k] = scaled_vectors(self.kind.vectors(self.prims, k))
-        return self.kind.intersect(*in_units_of_both(self.ready[k], ray))
+        vectors, unit = self.ready[k]
+        ko = max(unit, ray.ko)  # units no larger than those of either
+        return self.kind.intersect(vectors, ko - unit, ray._replace(o=shifted(ray.o, ko - ray.ko), ko=ko))
 
 
 class CandidatePrimitive(NamedTuple):
@@ -146,7 +140,7 @@ class PrimitiveIndex:
                 yield part, places, index[places] - first
 
     def candidates(
-        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray
+        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float, t_max: np.ndarray | float
     ) -> Iterator[list[CandidatePrimitive]]:
         """For each ray all primitives that it may intersect at t_min < t <= t_max, sorted by `near`."""
         for batch, ray, index, near in self.tree.crossings(o, d, t_min, t_max):

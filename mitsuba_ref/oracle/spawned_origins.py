@@ -88,8 +88,8 @@ class OriginJudge:
             nearby = np.abs(rays.p).max(axis=1) * LARGEST_POINT_ERROR
             right &= np.isfinite(rays.q).all(axis=1) & (rays.p_error.max(axis=1) <= nearby)
             rows = np.flatnonzero(right)
-            some, last = rays.rows(rows), np.ones(len(rows))
-            for _, ray, box, _ in self.index.tree.crossings(some.p, some.q - some.p, 0.0, last):
+            some = rays.rows(rows)
+            for _, ray, box, _ in self.index.tree.crossings(some.p, some.q - some.p, 0.0, 1.0):
                 others = box != self.row_of[some.prim[ray]]
                 ray, box = ray[others], box[others]
                 right[rows[ray[~self._clear(some.rows(ray), box)]]] = False
@@ -165,7 +165,7 @@ class OriginJudge:
         # From p to q, so that what rays meet from outside only counts as they would meet it.
         at_p, line = Fraction(-1, scale), IntegerRay(line.o, line.ko, (x, y, z), 0)
         start = np.array([[float(each) for each in p]])
-        (near,) = self.index.candidates(start, ray.q - start, np.zeros(1), np.ones(1))
+        (near,) = self.index.candidates(start, ray.q - start, 0.0, 1.0)
         others = [(part, k) for part, k, _ in near if part.ids[k] not in members]
         return min(
             (int(part.ids[k]) for part, k in others if any(at_p < t <= 0 for t, _ in part.intersect(k, line))),

@@ -9,10 +9,10 @@ from coin_plugin import Coin, Coins, Scanner
 from caster.scene.model import Film
 from caster.shapes.disk import Disks
 from mitsuba_ref import cameras
-from mitsuba_ref.cameras.camera_reference import CameraRays, CameraReference, camera_axes, eye_origins
+from mitsuba_ref.cameras.camera_reference import CameraReference, camera_axes, eye_origins
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
-from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, by_normal
+from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, Rays, by_normal
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, shifted, sub
 from mitsuba_ref.oracle.interface import ExactKind, Roots, boxes_around
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -100,12 +100,12 @@ COINS = PrimitiveReference(
 register(ShapeReference(Coin, to_xml, (COINS,), expected_coin, random_fields, groups=("flat", "small"), analytic=True))
 
 
-def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> Rays:
     """Parallel, from a grid around the eye."""
     right, up, forward = camera_axes(camera)
     across, above = camera.spacing * (x - film.width / 2.0), camera.spacing * (film.height / 2.0 - y)
     o = eye_origins(camera, len(x)) + np.outer(across, right) + np.outer(above, up)
-    return CameraRays(o, np.tile(forward, (len(x), 1)), np.zeros(len(x)), np.full(len(x), np.inf))
+    return Rays(o, np.tile(forward, (len(x), 1)), np.zeros(len(x)), np.full(len(x), np.inf))
 
 
 cameras.register(CameraReference(Scanner, scanner_rays))

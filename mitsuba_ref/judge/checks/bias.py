@@ -52,7 +52,7 @@ def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: Array |
         at, reference = rows[here], kind_of(prims)
         o, d = (a[at].astype(np.float64) for a in (pair.rays.o, pair.rays.d))
         ways = (None if scalar else reference.rounding_groups_llvm) or reference.rounding_groups
-        keys = [way(prims, k[here], bounds.own.n[at], o, d) for way in ways]
+        keys = [way(prims=prims, k=k[here], n=bounds.own.n[at], o=o, d=d) for way in ways]
         quantity, errors = BIAS_OF_T, share[at]
         if reference.position_terms is not None:
             quantity = BIAS_OF_POSITION
