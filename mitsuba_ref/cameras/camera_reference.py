@@ -60,9 +60,6 @@ class CameraReference:
     # (random generator, size of the scene's shapes, random view) -> the camera's fields, for the fuzzer
     random_fields: Callable[[Rng, float, RandomView], Fields] = lambda rng, size, view: view()
 
-    # whether there is a ray through every film position, unlike for an image that ends at a circle
-    covers_film: bool = False
-
     @property
     def type_name(self) -> str:
         """The `type` in scene files."""

@@ -86,9 +86,7 @@ def pinhole_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     return {**view(), "fov": fov, **planes}
 
 
-PINHOLE = CameraReference(
-    Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields, covers_film=True
-)
+PINHOLE = CameraReference(Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields)
 
 
 def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> Rays:
@@ -113,7 +111,7 @@ def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Field
 
 
 ORTHOGRAPHIC = CameraReference(
-    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields, covers_film=True
+    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields
 )
 
 
@@ -148,7 +146,7 @@ def panorama_rays(camera: Panorama, film: Film, x: Array, y: Array) -> Rays:
     return rays_from_eye(camera, to_world_directions(camera, local), np.ones(len(x), bool))
 
 
-PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
+PANORAMA = CameraReference(Panorama, panorama_rays)
 
 
 def parabolic_rays(camera: Parabolic, film: Film, x: Array, y: Array) -> Rays:
