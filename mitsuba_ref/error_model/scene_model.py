@@ -98,7 +98,7 @@ class SceneModel:
     @cached_property
     def boxes(self) -> tuple[Array, Array]:
         """(low, high) corners of all primitives, (n, 3) each."""
-        low, high = np.empty((self.packed.first[-1], 3)), np.empty((self.packed.first[-1], 3))
+        low, high = np.empty((2, self.packed.first[-1], 3))
         for place, kind in enumerate(self.packed.kinds):
             low[kind.ids], high[kind.ids] = self.models[place].exact.boxes(self.kinds[place])
         return low, high

@@ -120,8 +120,10 @@ class OriginJudge:
                 leaving = (surface.slope(q, back).sign() > 0) | (surface.slope(p, back).sign() < 0)
                 same &= (here < 0) | leaving
             elif surface.corners:
-                edges = [_edge_side(surface, corner, q, back) for corner in range(3)]
-                same |= (np.max(edges, axis=0) > 0) & (np.min(edges, axis=0) < 0)
+                corners = [sub(corner, q) for corner in surface.corners]
+                edges: list[Any] = [dot(cross(corners[i], corners[i - 1]), back) for i in range(3)]
+                signs = [edge.sign() for edge in edges]
+                same |= (np.max(signs, axis=0) > 0) & (np.min(signs, axis=0) < 0)
             clear[rows] = same
         return clear
 
@@ -171,13 +173,6 @@ class OriginJudge:
             (int(part.ids[k]) for part, k in others if any(at_p < t <= 0 for t, _ in part.intersect(k, line))),
             default=-1,
         )
-
-
-def _edge_side(surface: ImplicitSurface, corner: int, q: Vector, back: Vector) -> np.ndarray:
-    """Sign of the edge function of one edge of a triangle along a line through q."""
-    a, b = sub(surface.corners[corner], q), sub(surface.corners[corner - 1], q)
-    along: Any = dot(cross(a, b), back)
-    return np.asarray(along.sign())
 
 
 def _own_surface(part: PrimitiveArray, k: int, places: list[Vector], ray: Departures, line: IntegerRay) -> int:
