@@ -9,17 +9,8 @@ import numpy as np
 from caster.description.fields import Camera, Description
 from caster.description.transform import dot_rows, row_lengths
 from caster.scene.model import Film
-from mitsuba_ref.error_model.intersections import Array, stacked_columns, unit
+from mitsuba_ref.error_model.intersections import Array, Rays, stacked_columns, unit
 from mitsuba_ref.scene_xml.elements import XmlElement
-
-
-class CameraRays(NamedTuple):
-    """Rays through n points of the film, float64. t_max < 0: no ray."""
-
-    o: Array  # (n, 3) the eye, or points of the plane through it
-    d: Array  # (n, 3) unit
-    t_min: Array  # (n,)
-    t_max: Array  # (n,)
 
 
 class ClipRange(NamedTuple):
@@ -47,12 +38,8 @@ def no_sensor(camera: Any, film: Film, limits: ClipRange) -> XmlElement | None:
 
 
 Fields = dict[str, Any]  # of a camera, as a scene file gives them
+Rng = np.random.Generator
 RandomView = Callable[[], Fields]  # draws eye, direction and up
-
-
-def view_only(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
-    """Random fields of a camera: its view alone."""
-    return view()
 
 
 @dataclass(frozen=True)
@@ -61,8 +48,8 @@ class CameraReference:
 
     describes: type[Description]  # of caster.cameras.CAMERAS
 
-    # (description, film, x, y) -> rays through film positions x, y (n,), in pixels
-    rays: Callable[[Any, Film, Array, Array], CameraRays]
+    # (description, film, x, y) -> rays through film positions x, y (n,), in pixels; d of length 1, t_max < 0: no ray
+    rays: Callable[[Any, Film, Array, Array], Rays]
 
     # (description, film, limits) -> the sensor, without its film
     to_xml: Callable[[Any, Film, ClipRange], XmlElement | None] = no_sensor
@@ -71,10 +58,7 @@ class CameraReference:
     amplification: Callable[[Any, Film], float] = lambda camera, film: 1.0
 
     # (random generator, size of the scene's shapes, random view) -> the camera's fields, for the fuzzer
-    random_fields: Callable[[np.random.Generator, float, RandomView], Fields] = view_only
-
-    # whether there is a ray through every film position, unlike for an image that ends at a circle
-    covers_film: bool = False
+    random_fields: Callable[[Rng, float, RandomView], Fields] = lambda rng, size, view: view()
 
     @property
     def type_name(self) -> str:
@@ -103,11 +87,9 @@ def eye_origins(camera: Camera, count: int) -> Array:
     return np.tile(np.array(camera.eye, np.float64), (count, 1))
 
 
-def rays_from_eye(camera: Camera, d: Array, defined: Array | None = None) -> CameraRays:
-    """Rays from the eye along d (n, 3), without near or far plane; no ray where `defined` is False."""
-    n = len(d)
-    t_max = np.full(n, np.inf) if defined is None else np.where(defined, np.inf, -1.0)
-    return CameraRays(eye_origins(camera, n), d, np.zeros(n), t_max)
+def rays_from_eye(camera: Camera, d: Array, defined: Array) -> Rays:
+    """Rays from the eye along d (n, 3), without near or far plane; no ray where `defined` (n,) is False."""
+    return Rays(eye_origins(camera, len(d)), d, np.zeros(len(d)), np.where(defined, np.inf, -1.0))
 
 
 def sensor_pose(camera: Camera, scale: float = 1.0) -> tuple[Array, Array]:

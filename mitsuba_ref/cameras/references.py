@@ -9,11 +9,11 @@ from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, 
 from caster.description.fields import Camera
 from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
-    CameraRays,
     CameraReference,
     ClipRange,
     Fields,
     RandomView,
+    Rng,
     camera_axes,
     clip_planes,
     eye_origins,
@@ -21,7 +21,7 @@ from mitsuba_ref.cameras.camera_reference import (
     sensor_pose,
     to_world_directions,
 )
-from mitsuba_ref.error_model.intersections import Array, stacked_columns
+from mitsuba_ref.error_model.intersections import Array, Rays, stacked_columns
 from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
 
 
@@ -39,7 +39,7 @@ def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
     return tangent * width / side, tangent * height / side
 
 
-def pinhole_rays(camera: Pinhole, film: Film, x: Array, y: Array) -> CameraRays:
+def pinhole_rays(camera: Pinhole, film: Film, x: Array, y: Array) -> Rays:
     """Rays from the eye through the image plane; near and far are planes, so limits of t vary with the direction."""
     across, above = half_extents(camera, film)
     px, py = camera.principal_point
@@ -48,9 +48,7 @@ def pinhole_rays(camera: Pinhole, film: Film, x: Array, y: Array) -> CameraRays:
     local = stacked_columns(right, up, np.ones(len(x)))
     length = np.sqrt(right * right + up * up + 1.0)
     far = np.inf if camera.far is None else camera.far
-    return CameraRays(
-        eye_origins(camera, len(x)), to_world_directions(camera, local), camera.near * length, far * length
-    )
+    return Rays(eye_origins(camera, len(x)), to_world_directions(camera, local), camera.near * length, far * length)
 
 
 def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[Array, Array]) -> XmlElement:
@@ -80,7 +78,7 @@ def pinhole_amplification(camera: Pinhole, film: Film) -> float:
     return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
 
 
-def pinhole_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+def pinhole_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     planes = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.3 else {}
     if rng.random() < 0.2:
         planes["far"] = float(size * rng.uniform(2.0, 9.0))
@@ -88,26 +86,24 @@ def pinhole_random_fields(rng: np.random.Generator, size: float, view: RandomVie
     return {**view(), "fov": fov, **planes}
 
 
-PINHOLE = CameraReference(
-    Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields, covers_film=True
-)
+PINHOLE = CameraReference(Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields)
 
 
-def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> CameraRays:
+def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> Rays:
     """Parallel rays from a window of the camera's width, with square pixels."""
     pixel = camera.width / film.width
     right, up, forward = camera_axes(camera)
     o = eye_origins(camera, len(x))
     o += np.outer((x - film.width / 2.0) * pixel, right) + np.outer((film.height / 2.0 - y) * pixel, up)
     n, far = len(x), np.inf if camera.far is None else camera.far
-    return CameraRays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
+    return Rays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
 
 
 def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
     return sensor_xml("orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0))
 
 
-def orthographic_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     """Widths such that a pixel is 1/8 to 1/2 of a shape, so that many rays hit edges of lattice shapes exactly."""
     width = size * float(2.0 ** rng.integers(-1, 3))
     near = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.2 else {}
@@ -115,11 +111,11 @@ def orthographic_random_fields(rng: np.random.Generator, size: float, view: Rand
 
 
 ORTHOGRAPHIC = CameraReference(
-    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields, covers_film=True
+    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields
 )
 
 
-def circle_rays(camera: Camera, film: Film, x: Array, y: Array, theta: Callable[[Array], Array]) -> CameraRays:
+def circle_rays(camera: Camera, film: Film, x: Array, y: Array, theta: Callable[[Array], Array]) -> Rays:
     """An image within a circle. theta: the angle from the axis at distances from the centre, in radii of the circle."""
     radius = min(film.width, film.height) / 2.0
     right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
@@ -130,30 +126,30 @@ def circle_rays(camera: Camera, film: Film, x: Array, y: Array, theta: Callable[
     return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
 
 
-def fisheye_rays(camera: Fisheye, film: Film, x: Array, y: Array) -> CameraRays:
+def fisheye_rays(camera: Fisheye, film: Film, x: Array, y: Array) -> Rays:
     """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
     return circle_rays(camera, film, x, y, lambda distance: np.deg2rad(camera.fov) / 2.0 * distance)
 
 
-def random_fisheye(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+def random_fisheye(rng: Rng, size: float, view: RandomView) -> Fields:
     return {**view(), "fov": float(rng.uniform(60.0, 360.0))}
 
 
 FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
 
 
-def panorama_rays(camera: Panorama, film: Film, x: Array, y: Array) -> CameraRays:
+def panorama_rays(camera: Panorama, film: Film, x: Array, y: Array) -> Rays:
     """Equirectangular: a full turn across the film, half a turn from top to bottom, the view in the middle."""
     azimuth = 2.0 * np.pi * (x - film.width / 2.0) / film.width
     polar = np.pi * y / film.height
     local = np.column_stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)])
-    return rays_from_eye(camera, to_world_directions(camera, local))
+    return rays_from_eye(camera, to_world_directions(camera, local), np.ones(len(x), bool))
 
 
-PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
+PANORAMA = CameraReference(Panorama, panorama_rays)
 
 
-def parabolic_rays(camera: Parabolic, film: Film, x: Array, y: Array) -> CameraRays:
+def parabolic_rays(camera: Parabolic, film: Film, x: Array, y: Array) -> Rays:
     """Reflection in a paraboloid: tan(theta / 2) is the distance from the centre of the image, in radii."""
     return circle_rays(camera, film, x, y, lambda distance: 2.0 * np.arctan(distance))
 
@@ -161,15 +157,15 @@ def parabolic_rays(camera: Parabolic, film: Film, x: Array, y: Array) -> CameraR
 PARABOLIC = CameraReference(Parabolic, parabolic_rays)
 
 
-def ray_rays(camera: Ray, film: Film, x: Array, y: Array) -> CameraRays:
+def ray_rays(camera: Ray, film: Film, x: Array, y: Array) -> Rays:
     """The same ray at every film position."""
     count = len(x)
     o, d = (np.tile(np.array(v, np.float64), (count, 1)) for v in (camera.origin, camera.direction))
     t_max = np.inf if camera.t_max is None else camera.t_max
-    return CameraRays(o, d, np.zeros(count), np.full(count, t_max))
+    return Rays(o, d, np.zeros(count), np.full(count, t_max))
 
 
-def random_ray(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+def random_ray(rng: Rng, size: float, view: RandomView) -> Fields:
     fields = view()
     return {"origin": fields["eye"], "direction": fields["direction"]}
 

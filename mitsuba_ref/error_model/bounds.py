@@ -51,8 +51,7 @@ def nearest_root(met: PairIntersections, t: Array) -> Intersections:
         return met.at
     away = np.abs(met.at.t - t[met.pair])
     order = np.lexsort([np.where(np.isnan(away), np.inf, away), met.pair])
-    first = order[np.r_[True, np.diff(met.pair[order]) != 0]] if len(order) else order
-    return met.at.take(first)
+    return met.at.take(order[np.unique(met.pair[order], return_index=True)[1]])
 
 
 def aov_rows(aovs: Aovs, name: str) -> Array:

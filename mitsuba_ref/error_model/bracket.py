@@ -8,6 +8,7 @@ import numpy as np
 from mitsuba_ref.error_model.intersections import (
     Array,
     Intersections,
+    Rays,
     dot,
     joined,
     no_intersections,
@@ -61,15 +62,6 @@ class RayIntersections(NamedTuple):
         return RayIntersections(self.ray[rows], self.prim[rows], self.at.take(rows))
 
 
-class RaySegments(NamedTuple):
-    """n rays o + t d, t_min < t <= t_max."""
-
-    o: Array  # (n, 3) float64
-    d: Array  # (n, 3)
-    t_min: Array  # (n,)
-    t_max: Array  # (n,) negative: no ray
-
-
 class Bracket:
     """Tests claims about rays through one scene. ku, ours: as in SceneModel.intersect; closed: as in latest_hits."""
 
@@ -84,7 +76,7 @@ class Bracket:
         o, d: (n, 3) float64. t_max: (n,); a hit has t_min < t <= t_max. also: (n,) a primitive to consider even if the
         ray misses its box; -1: none.
         """
-        line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
+        line = Rays(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         latest = np.full(len(o), np.inf)
         fits, untestable = np.zeros((2, len(o)), bool)
         for found in self._batches(line, also):
@@ -94,7 +86,7 @@ class Bracket:
             untestable[found.ray[named & ~np.isfinite(found.at.t_error)]] = True
         return BracketResult(np.where(claims.shape == CLAIMED_MISS, np.isinf(latest), fits), untestable)
 
-    def _batches(self, line: RaySegments, also: Array | None = None) -> Iterator[RayIntersections]:
+    def _batches(self, line: Rays, also: Array | None = None) -> Iterator[RayIntersections]:
         """Possible intersections of the rays, all of a ray in one batch. also: as in `judge`."""
         near = self.model.near_pairs(line.o, line.d, ours=self.ours or also is not None)
         if also is not None:
@@ -112,7 +104,7 @@ class Bracket:
         at the start does not count, and anything else that near, such as the next face at an edge, is never certain.
         """
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
-        line = RaySegments(o, d, np.zeros(len(o)), t_max)
+        line = Rays(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
         for found in self._batches(line):
             near = near_ray_start(found, d, off)
@@ -124,13 +116,13 @@ class Bracket:
 
     def possible_hits(self, o: Array, d: Array, t_max: Array, t_min: float | Array = 0.0) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
-        line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
+        line = Rays(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         none = RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
         ray, prim, at = zip(none, *self._batches(line), strict=True)
         return RayIntersections(np.concatenate(ray), np.concatenate(prim), joined(at))
 
     @without_overflow_warnings
-    def _intersect_in_range(self, ray: Array, prim: Array, line: RaySegments) -> RayIntersections:
+    def _intersect_in_range(self, ray: Array, prim: Array, line: Rays) -> RayIntersections:
         met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
         error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
@@ -139,7 +131,7 @@ class Bracket:
         return RayIntersections(rays, prim[met.pair], met.at).take(keep)
 
     @without_overflow_warnings
-    def _fits(self, found: RayIntersections, claims: Claims, line: RaySegments, latest: Array) -> tuple[Array, Array]:
+    def _fits(self, found: RayIntersections, claims: Claims, line: Rays, latest: Array) -> tuple[Array, Array]:
         """(m,) bool twice: an intersection may be the claimed one, but for its t; and all that is claimed fits.
 
         latest: (m,) the latest t that the first hit of the ray may have.

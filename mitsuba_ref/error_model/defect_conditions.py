@@ -44,7 +44,6 @@ class DefectFeatures:
     ours: str  # kind that is hit, exactly and by the caster
     theirs: str  # kind that the reference names
     where: frozenset[str]  # "inside", "edge" ... of the members of the exact tie set
-    flags: frozenset[str]  # of the exact answer
     t: float  # of the reference, inf on a miss
     # a primitive of the named shape is hit at t = 0: exactly, or up to rounding for a stand-in
     at_zero: bool

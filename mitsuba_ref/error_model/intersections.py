@@ -17,6 +17,15 @@ without_overflow_warnings = np.errstate(over="ignore", divide="ignore")  # a NaN
 LARGEST_COORDINATE = 1.844e18
 
 
+class Rays(NamedTuple):
+    """n rays o + t d, t_min < t <= t_max."""
+
+    o: Array  # (n, 3) float64
+    d: Array  # (n, 3)
+    t_min: Array  # (n,)
+    t_max: Array  # (n,) negative: no ray
+
+
 class Intersections(NamedTuple):
     """One root of each of m pairs of a ray and a primitive. Errors bound how far off the judged side may be."""
 
@@ -206,31 +215,31 @@ def position_error(o: Array, d: Array, t: Array, t_error: Array, ku: float) -> A
 # Faces whose unit normals agree to this are one group: parallel faces may have the same differences of corners.
 SAME_NORMAL_TOLERANCE = 2.0**-12
 
-# (prims, k (m,), n (m, 3), o (m, 3), d (m, 3)) -> (m, c) rows that are equal where pixels are of one group
-GroupKey = Callable[[Any, Array, Array, Array, Array], Array]
+# prims, k (m,), n (m, 3), o (m, 3), d (m, 3) by name -> (m, c) rows that are equal where pixels are of one group
+GroupKey = Callable[..., Array]
 
 
-def by_normal(_prims: Any, _k: Array, n: Array, _o: Array, _d: Array) -> Array:
+def by_normal(n: Array, **_: Any) -> Array:
     """Group key of flat primitives: parallel planes, and mirror images of them, may be rounded alike."""
     return np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
 
 
-def by_matrix(prims: Any, k: Array, _n: Array, _o: Array, _d: Array) -> Array:
+def by_matrix(prims: Any, k: Array, **_: Any) -> Array:
     """Group key of transformed primitives: abs(to_world), since mirror images round its inverse alike."""
     return np.abs(prims.to_world[k].reshape(len(k), 9))
 
 
-def by_approach(prims: Any, k: Array, _n: Array, o: Array, d: Array) -> Array:
+def by_approach(prims: Any, k: Array, o: Array, d: Array, **_: Any) -> Array:
     """Group key of spheres in the scalar variant: solved in float64, but from the closest approach, at a float32 t."""
     nearest: Array = dot(prims.center[k] - o, d) / dot(d, d)
     return nearest.astype(np.float32)[:, None]
 
 
-def by_center(prims: Any, k: Array, _n: Array, _o: Array, _d: Array) -> Array:
+def by_center(prims: Any, k: Array, **_: Any) -> Array:
     """Group key of spheres in the LLVM variant: float32 throughout, so the centre relative to the origin is rounded."""
     return prims.center[k]
 
 
-def single_group(_prims: Any, k: Array, _n: Array, _o: Array, _d: Array) -> Array:
+def single_group(k: Array, **_: Any) -> Array:
     """All pixels in one group: for kinds that declare no shared rounding; no bias is tested for them."""
     return np.zeros((len(k), 1))

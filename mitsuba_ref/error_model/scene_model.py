@@ -4,7 +4,7 @@ The broad phase shares no code with the BVH that it judges. It may return too ma
 that a ray hits up to rounding, except for slivers thinner than BOX_MARGIN.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -34,6 +34,14 @@ class PairIntersections(NamedTuple):
     at: Intersections
 
 
+def joined_pairs(found: Sequence[PairIntersections]) -> PairIntersections:
+    """One after the other."""
+    if len(found) == 1:
+        return found[0]
+    pairs, at = zip(*found, strict=True) if found else ([np.zeros(0, int)], [no_intersections(0)])
+    return PairIntersections(np.concatenate(pairs), joined(at))
+
+
 @dataclass(frozen=True)
 class SceneModel:
     """The primitives of a scene, numbered as in `packed`, with their error models."""
@@ -48,19 +56,14 @@ class SceneModel:
 
         ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
         """
-        pairs, found = [], []
+        found = []
         for rows, model, arrays, k in self._by_kind(prim):
             intersect = (ours and model.intersect_ours) or model.intersect
             for at in intersect(arrays, k, o[rows], d[rows], ku):
                 if not (ours or model.uv.reference):
                     at = at._replace(uv=np.zeros_like(at.uv), uv_error=np.zeros_like(at.t))
-                pairs.append(rows)
-                found.append(at)
-        if not found:
-            return PairIntersections(np.zeros(0, int), no_intersections(0))
-        pair, at = pairs[0], found[0]
-        if len(found) > 1:
-            pair, at = np.concatenate(pairs), joined(found)
+                found.append(PairIntersections(rows, at))
+        pair, at = joined_pairs(found)
         flipped = self.packed.flipped
         if flipped is not None:
             side = np.where(flipped[self.packed.shape_of(prim[pair])], -1.0, 1.0)[:, None]
@@ -95,7 +98,7 @@ class SceneModel:
     @cached_property
     def boxes(self) -> tuple[Array, Array]:
         """(low, high) corners of all primitives, (n, 3) each."""
-        low, high = np.empty((self.packed.first[-1], 3)), np.empty((self.packed.first[-1], 3))
+        low, high = np.empty((2, self.packed.first[-1], 3))
         for place, kind in enumerate(self.packed.kinds):
             low[kind.ids], high[kind.ids] = self.models[place].exact.boxes(self.kinds[place])
         return low, high
@@ -185,10 +188,7 @@ class InstancedModel(SceneModel):
                 turned = self._turned_normals(prim[rows[pair]], ku)
                 at = at._replace(n_error=at.n_error + turned, sh_error=at.sh_error + turned)
             found.append(PairIntersections(rows[pair], at))
-        if not found:
-            return PairIntersections(np.zeros(0, int), no_intersections(0))
-        pairs, met = zip(*found, strict=True)
-        return PairIntersections(np.concatenate(pairs), joined(met))
+        return joined_pairs(found)
 
     @without_overflow_warnings
     def _turned_normals(self, prim: Array, ku: float) -> Array:
@@ -235,17 +235,16 @@ class UncertainRaysModel(SceneModel):
 
     def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
         """As SceneModel.intersect, widened to enclose the intersections of neighbouring rays."""
-        met = super().intersect(prim, o, d, ku, ours=ours)
-        found, described = [met.at], self.as_described
-        if described:
-            found.append(described.intersect(prim, o, d, ku, ours=ours).at)
-        for across in self._around(d):
-            ray = o + self.shift * across, d + self._turned(d) * across
-            found.append(super().intersect(prim, *ray, ku, ours=ours).at)
-            if described:
-                found.append(described.intersect(prim, *ray, ku, ours=ours).at)
+        turn = (self.turn * norm(d))[:, None]
+        rays = [(o, d), *((o + self.shift * across, d + turn * across) for across in self._around(d))]
+        met = []
+        for ray in rays:
+            met.append(super().intersect(prim, *ray, ku, ours=ours))
+            if self.as_described:
+                met.append(self.as_described.intersect(prim, *ray, ku, ours=ours))
+        pair = met[0].pair
         # A shift along the ray moves no point, but changes t.
-        return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
+        return PairIntersections(pair, enclosing_intersections([each.at for each in met], self.shift / norm(d)[pair]))
 
     @without_overflow_warnings
     def is_unresolved(self, prim: Array, d: Array, t: Array) -> Array:
@@ -253,9 +252,6 @@ class UncertainRaysModel(SceneModel):
         low, high = (corner[np.maximum(prim, 0)] for corner in self.boxes)
         circle = self.shift + self.turn * np.abs(t) * norm(d)
         return (prim >= 0) & (norm(high - low) <= UNRESOLVED_SIZE_IN_CIRCLES * circle)
-
-    def _turned(self, d: Array) -> Array:
-        return (self.turn * norm(d))[:, None]
 
     def _around(self, d: Array) -> Iterator[Array]:
         """Offsets (m, 3) across the rays: corners of polygons around the rings."""
@@ -285,15 +281,15 @@ def enclosing_intersections(found: list[Intersections], along: Array) -> Interse
         take = (side == 0.0) & (at.side != 0.0)
         edge[take], side[take] = at.edge[take], at.side[take]
         steady &= (at.side == 0.0) | ((at.side == side) & (at.edge == edge).all(axis=1))
-    side = np.where(steady & ~certain, side, 0.0)
+    side, unknown = np.where(steady & ~certain, side, 0.0), np.full(len(t_error), np.inf)
     return middle._replace(
         t_error=t_error,
         n_error=n_error,
         sh_error=sh_error,
         possible=possible,
         certain=certain,
-        p_error=np.full(len(t_error), np.inf),
-        uv_error=np.full(len(t_error), np.inf),
+        p_error=unknown,
+        uv_error=unknown,
         edge=edge,
         side=side,
     )

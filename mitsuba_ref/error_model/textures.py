@@ -76,8 +76,8 @@ def _ratio(texture: Any, uv: Array, colors: Array, ku: float) -> Array:
     rounding = (3.0 * ku + decoding) * np.max(values, axis=0)
     change = np.max(np.abs(values - exact), axis=0) * blends
     change[(off >= 0.5).any(axis=1)] = np.ptp(texels, axis=(0, 1))  # any texel may be meant
-    allowed = [(exact, change + rounding)] if blends else [(value, change + rounding) for value in values]
-    ratios = [largest_of_columns(error_over_bound(np.abs(colors - value), bound)) for value, bound in allowed]
+    allowed = [exact] if blends else values
+    ratios = [largest_of_columns(error_over_bound(np.abs(colors - value), change + rounding)) for value in allowed]
     found: Array = np.min(ratios, axis=0)
     return found
 

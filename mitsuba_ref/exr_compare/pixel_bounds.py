@@ -20,8 +20,7 @@ from caster.image.exr import Exr
 from caster.image.exr_info import hit_mask
 from caster.scene.model import Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.cameras.camera_reference import CameraRays
-from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.error_model.intersections import Array, Rays
 from mitsuba_ref.error_model.tolerances import (
     COLOR_RTOL,
     DEPTH_RTOL,
@@ -60,7 +59,7 @@ def scene_in(exr: Exr) -> Scene | None:
         return None
 
 
-def view_of(scenes: Iterable[Scene | None], shape: tuple[int, ...]) -> tuple[Scene, CameraRays] | None:
+def view_of(scenes: Iterable[Scene | None], shape: tuple[int, ...]) -> tuple[Scene, Rays] | None:
     """The first of these scenes whose film window has this shape, and its rays through the pixel centres."""
     for scene in scenes:
         if scene is not None and scene.camera.type != "ray":

@@ -74,7 +74,6 @@ def defect_features(
             kind,
             their_kind,
             where=frozenset(hit.where for hit in answer.ties),
-            flags=answer.flags,
             t=t,
             at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prim, o[i], d[i]),
             cosine=min(ours.cosine, theirs.cosine),

@@ -143,14 +143,13 @@ def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None, *, wi
     """The exact answer on one line."""
     if answer is None:
         return "no answer"
-    flags = f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
     if answer.t is None:
-        return f"miss{flags}"
+        return "miss"
     ties = [f"{each.shape}, prim {each.prim} ({each.where})" for each in tie_members(scene, packed, answer)]
     if len(ties) > MAX_TIES_SHOWN:
         ties[MAX_TIES_SHOWN:] = [f"{len(ties) - MAX_TIES_SHOWN} more"]
     at = f" at t {decimal_and_hex(float(answer.t))}" if with_t else ""
-    return f"{' = '.join(ties)}{at}{flags}"
+    return f"{' = '.join(ties)}{at}"
 
 
 def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:

@@ -4,41 +4,25 @@ Planes by a linear equation, triangles by signs of determinants, spheres and rou
 unit shapes under a matrix by its exact inverse.
 """
 
-from collections.abc import Sequence
-from fractions import Fraction
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, cross, dot, shifted, sign_with_root, sub
 from mitsuba_ref.oracle.implicit_surfaces import ImplicitSurface, Vector
-from mitsuba_ref.oracle.interface import (
-    DEGENERATE,
-    NO_INTERSECTION,
-    Contact,
-    ExactKind,
-    LineIntersections,
-    contact,
-    next_above,
-    next_below,
-)
-
-LINE_IN_PLANE = LineIntersections((), (Contact("edge_on", None, None),))
+from mitsuba_ref.oracle.interface import ExactKind, Roots, boxes_around
 
 
 def plane_vectors(prims: Any, k: Any) -> np.ndarray:
     return np.stack([prims.normal[k], prims.point[k]], axis=-2)
 
 
-def intersect_plane(plane: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
-    """All p with normal . (p - point) = 0; the scale of the normal does not matter."""
+def intersect_plane(plane: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
+    """All p with normal . (p - point) = 0; the scale of the normal does not matter. A ray in the plane misses it."""
     normal, point = plane
-    if not any(normal):
-        return DEGENERATE
     height, slope = dot(normal, sub(shifted(point, bits), ray.o)), dot(normal, ray.d)
-    if slope:
-        return LineIntersections(((Root(height, 0, 0, slope, ray.e), "inside"),))
-    return NO_INTERSECTION if height else LINE_IN_PLANE
+    return ((Root(height, 0, 0, slope, ray.e), "inside"),) if slope else ()
 
 
 def infinite_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -46,12 +30,9 @@ def infinite_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     return -everywhere, everywhere
 
 
-def plane_surface(plane: Sequence[Vector]) -> ImplicitSurface:
-    normal, point = plane
-    return ImplicitSurface(point, (normal,))
-
-
-PLANES = ExactKind(infinite_boxes, plane_vectors, intersect_plane, surface=plane_surface)
+PLANES = ExactKind(
+    infinite_boxes, plane_vectors, intersect_plane, surface=lambda plane: ImplicitSurface(plane[1], (plane[0],))
+)
 
 
 # Exact ray-triangle intersection by the signs of three determinants.
@@ -68,40 +49,20 @@ def corners_of(prims: Any, k: Any) -> np.ndarray:
     return corners
 
 
-def intersect_triangle(corners: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
-    """With corners a, b, c relative to o and normal N: t d.N = a.N, where a.N = a.(b x c) and d.N = U + V + W."""
+def intersect_triangle(corners: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
+    """With corners a, b, c relative to o and normal N: t d.N = a.N, where a.N = a.(b x c) and d.N = U + V + W.
+
+    A ray in the plane of the triangle misses it.
+    """
     a, b, c = (sub(shifted(corner, bits), ray.o) for corner in corners)
     bc = cross(b, c)
     u, v, w = dot(ray.d, bc), dot(ray.d, cross(c, a)), dot(ray.d, cross(a, b))
     if (u < 0 or v < 0 or w < 0) and (u > 0 or v > 0 or w > 0):
-        return NO_INTERSECTION
+        return ()
     area = u + v + w
-    if area == 0:  # then all three are 0
-        return _edge_on((a, b, c), ray)
-    t = Root(dot(a, bc), 0, 0, area, ray.e)
-    if any(abs(x) >= LARGEST_COORDINATE << (ray.ko - bits) for corner in corners for x in corner):
-        return contact("dropped", [t])
-    return LineIntersections(((t, WHERE[(u == 0) + (v == 0) + (w == 0)]),))
-
-
-def _edge_on(corners: tuple[Integers3, Integers3, Integers3], ray: IntegerRay) -> LineIntersections:
-    """A ray in the plane of a triangle: no hit, but a contact if it passes through the triangle.
-
-    Projected along d, all corners lie on one line through the ray, at offsets s. The ray crosses corners with s = 0 and
-    edges whose ends have s of opposite signs.
-    """
-    axis = next(i for i in range(3) if ray.d[i])
-    flat = [cross(corner, ray.d) for corner in corners]
-    line = next((f for f in flat if any(f)), (0, 0, 0))
-    offsets = [dot(f, line) for f in flat]
-    steps = [Fraction(corner[axis], ray.d[axis]) for corner in corners]  # t of the corners' projections onto the ray
-    crossed = [step for offset, step in zip(offsets, steps, strict=True) if offset == 0]
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        if offsets[i] * offsets[j] < 0:
-            crossed.append((offsets[j] * steps[i] - offsets[i] * steps[j]) / (offsets[j] - offsets[i]))
-    a, b, c = corners
-    why = "edge_on" if any(cross(sub(b, a), sub(c, a))) else "degenerate"
-    return contact(why, [Root(t.numerator, 0, 0, t.denominator, ray.e) for t in crossed])
+    if area == 0 or any(abs(x) >= LARGEST_COORDINATE << (ray.ko - bits) for corner in corners for x in corner):
+        return ()
+    return ((Root(dot(a, bc), 0, 0, area, ray.e), WHERE[(u == 0) + (v == 0) + (w == 0)]),)
 
 
 BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at once
@@ -134,7 +95,7 @@ class ObjectRay(NamedTuple):
 
     o: Integers3
     d: Integers3
-    size: int  # the determinant; 0 for a singular matrix
+    size: int  # the determinant, not 0
     e: int
 
 
@@ -149,12 +110,23 @@ def affine_vectors(prims: Any, k: Any) -> np.ndarray:
     return np.concatenate([prims.center[k][..., None, :], prims.to_world[k].swapaxes(-1, -2)], axis=-2)
 
 
-def to_object_space(affine: Sequence[Integers3], bits: int, ray: IntegerRay) -> ObjectRay:
-    """The inverse is the adjugate over the determinant, which has one length more: its unit is shifted."""
-    center, *columns = affine
-    (x, y, z), determinant = cofactors(*columns)
-    o, d = ((dot(x, v), dot(y, v), dot(z, v)) for v in (sub(ray.o, shifted(center, bits)), ray.d))
-    return ObjectRay(o, d, determinant << bits, ray.e)
+def in_object_space(
+    intersect_unit_shape: Callable[[ObjectRay], Roots],
+) -> Callable[[Sequence[Integers3], int, IntegerRay], Roots]:
+    """ExactKind.intersect of a unit shape under a matrix, from that of the shape.
+
+    The inverse is the adjugate over the determinant, which has one length more: its unit is shifted.
+    """
+
+    def intersect(affine: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
+        center, *columns = affine
+        (x, y, z), determinant = cofactors(*columns)
+        if not determinant:
+            return ()
+        o, d = ((dot(x, v), dot(y, v), dot(z, v)) for v in (sub(ray.o, shifted(center, bits)), ray.d))
+        return intersect_unit_shape(ObjectRay(o, d, determinant << bits, ray.e))
+
+    return intersect
 
 
 # A sum of three magnitudes and this product take three roundings, each down by at most 2^-53 of the result.
@@ -164,8 +136,7 @@ ROUNDED_UP = 1.0 + 8 * 2.0**-53
 def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     """Boxes around the image of the cube [-1, 1]^3."""
     with np.errstate(over="ignore"):
-        reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
-        return next_below(prims.center - reach), next_above(prims.center + reach)
+        return boxes_around(prims.center, np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP)
 
 
 def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Root]:
@@ -185,63 +156,55 @@ def sphere_vectors(prims: Any, k: Any) -> np.ndarray:
     return np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2)
 
 
-def intersect_sphere(sphere: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+def intersect_sphere(sphere: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """All p with |p - center| = radius."""
     center, (radius, *_) = sphere
     return _closed(line_sphere_roots(sub(ray.o, shifted(center, bits)), ray.d, radius << bits, ray.e))
 
 
-def intersect_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
-    local = to_object_space(ellipsoid, bits, ray)
-    return _closed(line_sphere_roots(*local)) if local.size else DEGENERATE
+@in_object_space
+def intersect_ellipsoid(ray: ObjectRay) -> Roots:
+    return _closed(line_sphere_roots(*ray))
 
 
-def enter_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+def enter_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """Where the line enters it."""
-    found = intersect_ellipsoid(ellipsoid, bits, ray)
-    return found._replace(roots=found.roots[:1])
+    return intersect_ellipsoid(ellipsoid, bits, ray)[:1]
 
 
-def _closed(roots: list[Root]) -> LineIntersections:
+def _closed(roots: list[Root]) -> Roots:
     where = "tangent" if len(roots) == 1 else "inside"
-    return LineIntersections(tuple((root, where) for root in roots))
+    return tuple((root, where) for root in roots)
 
 
-def intersect_cylinder(cylinder: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
-    """Roots of the circle in x and y that have z between 0 and size."""
-    o, d, size, e = local = to_object_space(cylinder, bits, ray)
-    if not size:
-        return DEGENERATE
+@in_object_space
+def intersect_cylinder(ray: ObjectRay) -> Roots:
+    """Roots of the circle in x and y that have z between 0 and size. A ray along the axis misses it."""
+    o, d, size, e = ray
     if not (d[0] or d[1]):
-        return _along_cylinder_wall(local)
+        return ()
     found = []
-    for root, where in _closed(line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)).roots:
+    for root, where in _closed(line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)):
         from_ends = height(root, o[2], d[2]) * height(root, o[2] - size, d[2])
         if from_ends <= 0:
             found.append((root, where if from_ends or where == "tangent" else "rim"))
-    return LineIntersections(tuple(found))
+    return tuple(found)
 
 
-def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
-    """A ray parallel to the axis is a miss; within the wall it has a contact from one end to the other."""
-    (x, y, z), (_, _, slope), size, e = ray
-    if x * x + y * y != size * size:
-        return NO_INTERSECTION
-    return contact("edge_on", [Root(-z, 0, 0, slope, e), Root(size - z, 0, 0, slope, e)])
+@in_object_space
+def intersect_disk(ray: ObjectRay) -> Roots:
+    """z is 0 at s = -o.z / d.z; x^2 + y^2 there is compared with size^2, both times d.z^2.
 
-
-def intersect_disk(disk: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
-    """z is 0 at s = -o.z / d.z; x^2 + y^2 there is compared with size^2, both times d.z^2."""
-    (ox, oy, oz), (dx, dy, dz), size, e = to_object_space(disk, bits, ray)
-    if not size:
-        return DEGENERATE
-    if not dz:  # within the plane: from where it enters the circle to where it leaves
-        return NO_INTERSECTION if oz else contact("edge_on", line_sphere_roots((ox, oy, 0), (dx, dy, 0), size, e))
+    A ray in the plane of the disk misses it.
+    """
+    (ox, oy, oz), (dx, dy, dz), size, e = ray
+    if not dz:
+        return ()
     x, y = ox * dz - oz * dx, oy * dz - oz * dy
     beyond = x * x + y * y - (size * dz) ** 2
     if beyond > 0:
-        return NO_INTERSECTION
-    return LineIntersections(((Root(-oz, 0, 0, dz, e), "inside" if beyond else "rim"),))
+        return ()
+    return ((Root(-oz, 0, 0, dz, e), "inside" if beyond else "rim"),)
 
 
 def height(root: Root, o: int, d: int) -> int:
@@ -254,7 +217,7 @@ def segment_vectors(prims: Any, k: Any) -> np.ndarray:
     return np.stack([prims.start[k], prims.end[k], prims.radius[k][..., [0, 1, 1]]], axis=-2)
 
 
-def enter_segment(segment: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+def enter_segment(segment: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """Where the line enters the hull: of the cone and both spheres the one root that lies on it.
 
     The hull of the spheres around both ends is the union of spheres around start + v axis with radii r + v grow,
@@ -272,7 +235,7 @@ def enter_segment(segment: Sequence[Integers3], bits: int, ray: IntegerRay) -> L
     if size > 0:
         on_cone = entering_roots(a, size * dot(o, ray.d) - lift * rise, size * (dot(o, o) - r * r) - lift * lift, e)
         found += [root for root in on_cone if height(root, lift, rise) >= 0 >= height(root, lift - size, rise)]
-    return LineIntersections(tuple((root, "inside" if root.q or not a else "tangent") for root in found))
+    return tuple((root, "inside" if root.q or not a else "tangent") for root in found)
 
 
 def entering_roots(a: int, b: int, c: int, e: int) -> list[Root]:
@@ -284,21 +247,13 @@ def entering_roots(a: int, b: int, c: int, e: int) -> list[Root]:
 
 
 def segment_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    r = prims.radius
-    with np.errstate(over="ignore"):
-        low = np.minimum(prims.start - r[:, :1], prims.end - r[:, 1:])
-        return next_below(low), next_above(np.maximum(prims.start + r[:, :1], prims.end + r[:, 1:]))
+    low, high = boxes_around(prims.start, prims.radius[:, :1])
+    end_low, end_high = boxes_around(prims.end, prims.radius[:, 1:])
+    return np.minimum(low, end_low), np.maximum(high, end_high)
 
 
 def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    r = prims.radius[:, None]
-    with np.errstate(over="ignore"):
-        return next_below(prims.center - r), next_above(prims.center + r)
-
-
-def sphere_surface(sphere: Sequence[Vector]) -> ImplicitSurface:
-    center, (radius, *_) = sphere
-    return ImplicitSurface(center, size=radius)
+    return boxes_around(prims.center, prims.radius[:, None])
 
 
 def ellipsoid_surface(affine: Sequence[Vector]) -> ImplicitSurface:
@@ -317,7 +272,9 @@ def disk_surface(affine: Sequence[Vector]) -> ImplicitSurface:
     return ImplicitSurface(around.origin, around.rows[2:])
 
 
-SPHERES = ExactKind(sphere_boxes, sphere_vectors, intersect_sphere, surface=sphere_surface)
+SPHERES = ExactKind(
+    sphere_boxes, sphere_vectors, intersect_sphere, surface=lambda sphere: ImplicitSurface(sphere[0], size=sphere[1][0])
+)
 # Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
 SEGMENTS = ExactKind(segment_boxes, segment_vectors, enter_segment)
 ELLIPSOIDS = ExactKind(affine_boxes, affine_vectors, intersect_ellipsoid, surface=ellipsoid_surface)

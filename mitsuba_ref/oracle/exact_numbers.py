@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from fractions import Fraction
+from functools import total_ordering
 from typing import NamedTuple, Union
 
 import numpy as np
@@ -37,12 +38,6 @@ def scaled_vectors(rows: np.ndarray) -> IntegerVectors:
     k = max(below.bit_length() for _, below in ratios) - 1  # denominators are powers of two
     n = [above << (k + 1 - below.bit_length()) for above, below in ratios]
     return IntegerVectors(list(zip(n[::3], n[1::3], n[2::3], strict=True)), k)
-
-
-def in_units_of_both(vectors: IntegerVectors, ray: IntegerRay) -> tuple[list[Integers3], int, IntegerRay]:
-    """(vectors, bits that shift them into the units of the ray's origin, ray in units no larger than theirs)."""
-    ko = max(vectors.k, ray.ko)
-    return vectors.v, ko - vectors.k, IntegerRay(shifted(ray.o, ko - ray.ko), ko, ray.d, ray.kd)
 
 
 def integer_rays(o: np.ndarray, d: np.ndarray) -> Iterator[IntegerRay]:
@@ -96,6 +91,7 @@ def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
     return first * sign_with_root(a * a - b * b * r - c * c * s, -2 * b * c, r * s)
 
 
+@total_ordering
 class Root:
     """The real number (p + q sqrt(r)) / s 2^e. Compares exactly with Root, int, float and Fraction."""
 
@@ -139,15 +135,6 @@ class Root:
 
     def __lt__(self, other: Number) -> bool:
         return self.compare(other) < 0
-
-    def __le__(self, other: Number) -> bool:
-        return self.compare(other) <= 0
-
-    def __gt__(self, other: Number) -> bool:
-        return self.compare(other) > 0
-
-    def __ge__(self, other: Number) -> bool:
-        return self.compare(other) >= 0
 
     def __repr__(self) -> str:
         return f"Root({float(self)!r})"

@@ -8,33 +8,7 @@ import numpy as np
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root
 from mitsuba_ref.oracle.implicit_surfaces import ImplicitSurface, Vector
 
-
-class Contact(NamedTuple):
-    """A contact of a ray with a primitive that is not a hit. why: "edge_on", "degenerate" or "dropped"."""
-
-    why: str
-    first: Root | None  # the interval of t; None: anywhere within the primitive's box
-    last: Root | None
-
-    def is_within(self, start: float, end: Root | float) -> bool:
-        """Whether the contact may lie after `start` and not after `end`."""
-        return self.first is None or self.last is None or (self.first <= end and self.last > start)
-
-
-class LineIntersections(NamedTuple):
-    """Intersections of one line with one primitive."""
-
-    roots: tuple[tuple[Root, str], ...] = ()  # (t, where) for any t, ascending, without repetition
-    contacts: tuple[Contact, ...] = ()
-
-
-NO_INTERSECTION = LineIntersections()
-DEGENERATE = LineIntersections((), (Contact("degenerate", None, None),))
-
-
-def contact(why: str, ts: Sequence[Root]) -> LineIntersections:
-    """A contact from the first to the last of these t; none without any."""
-    return LineIntersections((), (Contact(why, min(ts), max(ts)),)) if ts else NO_INTERSECTION
+Roots = tuple[tuple[Root, str], ...]  # (t, where) of a line and a primitive: any t, ascending, without repetition
 
 
 class ExactKind(NamedTuple):
@@ -46,8 +20,8 @@ class ExactKind(NamedTuple):
     # (prims, k) -> (..., v, 3) all numbers of primitive k, or of several, as v vectors
     vectors: Callable[[Any, Any], np.ndarray]
 
-    # (these vectors in integers, bits that shift them into the units of the ray's origin, ray) -> roots and contacts
-    intersect: Callable[[Sequence[Integers3], int, IntegerRay], LineIntersections]
+    # (these vectors in integers, bits that shift them into the units of the ray's origin, ray) -> roots
+    intersect: Callable[[Sequence[Integers3], int, IntegerRay], Roots]
 
     # prims -> (n,) bool: False for primitives that are never hit, such as faces with a corner that is not finite; None:
     # all numbers have to be finite, and radii not negative, else OutsideDomain is raised
@@ -60,13 +34,10 @@ class ExactKind(NamedTuple):
 EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of the arrays; filled by mitsuba_ref.shapes
 
 
-def next_below(x: np.ndarray) -> np.ndarray:
-    """The next float64 down: a lower bound of the exact value that was rounded to x."""
-    return np.nextafter(x, -np.inf)
-
-
-def next_above(x: np.ndarray) -> np.ndarray:
-    return np.nextafter(x, np.inf)
+def boxes_around(center: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(low, high) corners center -+ reach, rounded outwards."""
+    with np.errstate(over="ignore"):
+        return np.nextafter(center - reach, -np.inf), np.nextafter(center + reach, np.inf)
 
 
 class OutsideDomain(ValueError):  # noqa: N818 - a state of the input, not a fault of the program
@@ -85,11 +56,6 @@ class ExactAnswer(NamedTuple):
 
     t: Root | None  # None: a miss
     ties: tuple[ExactHit, ...]  # all primitives that are hit at exactly this t, in the order of their numbers
-
-    # Contacts along the ray up to t: "edge_on" (within a flat primitive or a cylinder's wall), "degenerate" (a triangle
-    # without area, or the box of a primitive whose matrix is singular), "dropped" (a face that is too large; or some
-    # face of the scene has a corner that is not finite); and "tangent", if a hit is one.
-    flags: frozenset[str]
 
     @property
     def hit(self) -> bool:
@@ -118,7 +84,7 @@ class ExactAnswer(NamedTuple):
 
 def check_rays(o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
     """Raise OutsideDomain, naming the first invalid ray. o, d: (n, 3); t_min, t_max: (n,)."""
-    fits = np.logical_and.reduce(np.isfinite([*o.T, *d.T])) & np.logical_or.reduce([*(d != 0.0).T])
+    fits = np.isfinite(o).all(axis=1) & np.isfinite(d).all(axis=1) & d.any(axis=1)
     bad = np.flatnonzero(~fits | np.isnan(t_min) | np.isnan(t_max))
     if len(bad):
         i = int(bad[0])

@@ -8,26 +8,11 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mitsuba_ref.oracle.boxes import BoxTree
-from mitsuba_ref.oracle.exact_numbers import (
-    IntegerRay,
-    IntegerVectors,
-    Root,
-    in_units_of_both,
-    integer_rays,
-    scaled_vectors,
-)
-from mitsuba_ref.oracle.interface import (
-    EXACT_KINDS,
-    Contact,
-    ExactAnswer,
-    ExactHit,
-    ExactKind,
-    LineIntersections,
-    OutsideDomain,
-    check_rays,
-)
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, IntegerVectors, Root, integer_rays, scaled_vectors, shifted
+from mitsuba_ref.oracle.interface import EXACT_KINDS, ExactAnswer, ExactHit, ExactKind, OutsideDomain, Roots, check_rays
 
 __all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root"]
 
@@ -42,20 +27,17 @@ class Oracle:
         LookupError for a kind without exact arithmetic.
         """
         self.primitives = PrimitiveIndex([part_of(kind.prims, np.asarray(kind.ids)) for kind in packed.kinds])
-        self._always = frozenset() if self.primitives.present.all() else frozenset({"dropped"})
 
-    def first_hit(
-        self, o: Iterable[float], d: Iterable[float], t_min: float = 0.0, t_max: float = math.inf
-    ) -> ExactAnswer:
+    def first_hit(self, o: ArrayLike, d: ArrayLike, t_min: float = 0.0, t_max: float = math.inf) -> ExactAnswer:
         """The first hit of the ray o + t d at t_min < t <= t_max. o, d: three floats each.
 
         Raises OutsideDomain for a ray that is not finite or has no direction.
         """
-        (answer,) = self.first_hits(np.array([[*o]], np.float64), np.array([[*d]], np.float64), t_min, t_max)
+        (answer,) = self.first_hits(o, d, t_min, t_max)
         return answer
 
     def first_hits(
-        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
+        self, o: ArrayLike, d: ArrayLike, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
     ) -> list[ExactAnswer]:
         """First hits of rays o, d (n, 3); t_min, t_max: (n,) or one for all. Faster per ray than first_hit.
 
@@ -74,13 +56,10 @@ class Oracle:
         """The first hit among candidates sorted by a lower bound of t."""
         (start, end), best = span, None
         ties: dict[int, str] = {}
-        contacts: list[Contact] = []
         for part, k, near in candidates:
             if best is not None and best < near:
                 break
-            crossed = part.intersect(k, ray)
-            contacts += crossed.contacts
-            first = next((root for root in crossed.roots if root[0] > start), None)
+            first = next((root for root in part.intersect(k, ray) if root[0] > start), None)
             if first is None or first[0] > end:
                 continue
             t, where = first
@@ -89,10 +68,7 @@ class Oracle:
                 best, ties = t, {}
             if order <= 0:
                 ties.setdefault(int(part.ids[k]), where)
-        last = end if best is None else best
-        flags = {contact.why for contact in contacts if contact.is_within(start, last)}
-        flags |= {"tangent"} & {*ties.values()}
-        return ExactAnswer(best, tuple(ExactHit(*tie) for tie in sorted(ties.items())), self._always | flags)
+        return ExactAnswer(best, tuple(ExactHit(*tie) for tie in sorted(ties.items())))
 
 
 def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
@@ -120,10 +96,12 @@ class PrimitiveArray(NamedTuple):
     ids: np.ndarray  # (n,) the number of each in the scene
     ready: dict[int, IntegerVectors]  # primitives in integers, by row
 
-    def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
+    def intersect(self, k: int, ray: IntegerRay) -> Roots:
         if k not in self.ready:
             self.ready[k] = scaled_vectors(self.kind.vectors(self.prims, k))
-        return self.kind.intersect(*in_units_of_both(self.ready[k], ray))
+        vectors, unit = self.ready[k]
+        ko = max(unit, ray.ko)  # units no larger than those of either
+        return self.kind.intersect(vectors, ko - unit, ray._replace(o=shifted(ray.o, ko - ray.ko), ko=ko))
 
 
 class CandidatePrimitive(NamedTuple):
@@ -143,16 +121,16 @@ class PrimitiveIndex:
             check_usable(part)
         self.parts = tuple(parts)
         self.first = np.cumsum([0, *(len(part.ids) for part in parts)])
-        self.present = np.ones(self.first[-1], bool)
+        present = np.ones(self.first[-1], bool)
         for part, first, end in zip(parts, self.first, self.first[1:], strict=False):
             if part.kind.present is not None:
-                self.present[first:end] = part.kind.present(part.prims)
+                present[first:end] = part.kind.present(part.prims)
         boxes = [part.kind.boxes(part.prims) for part in parts] or [(np.zeros((0, 3)), np.zeros((0, 3)))]
         low, high = map(np.concatenate, zip(*boxes, strict=True)) if len(boxes) > 1 else boxes[0]
         del boxes
-        if not self.present.all():
-            low, high = low[self.present], high[self.present]
-        self.tree = BoxTree(low, high, BOX_MARGIN, np.flatnonzero(self.present))
+        if not present.all():
+            low, high = low[present], high[present]
+        self.tree = BoxTree(low, high, BOX_MARGIN, np.flatnonzero(present))
 
     def by_part(self, index: np.ndarray) -> Iterator[tuple[PrimitiveArray, np.ndarray, np.ndarray]]:
         """(array, positions in `index` of its primitives, their rows in the array) for each array that has some."""
@@ -162,7 +140,7 @@ class PrimitiveIndex:
                 yield part, places, index[places] - first
 
     def candidates(
-        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray
+        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float, t_max: np.ndarray | float
     ) -> Iterator[list[CandidatePrimitive]]:
         """For each ray all primitives that it may intersect at t_min < t <= t_max, sorted by `near`."""
         for batch, ray, index, near in self.tree.crossings(o, d, t_min, t_max):

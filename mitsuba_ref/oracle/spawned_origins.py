@@ -88,8 +88,8 @@ class OriginJudge:
             nearby = np.abs(rays.p).max(axis=1) * LARGEST_POINT_ERROR
             right &= np.isfinite(rays.q).all(axis=1) & (rays.p_error.max(axis=1) <= nearby)
             rows = np.flatnonzero(right)
-            some, last = rays.rows(rows), np.ones(len(rows))
-            for _, ray, box, _ in self.index.tree.crossings(some.p, some.q - some.p, 0.0, last):
+            some = rays.rows(rows)
+            for _, ray, box, _ in self.index.tree.crossings(some.p, some.q - some.p, 0.0, 1.0):
                 others = box != self.row_of[some.prim[ray]]
                 ray, box = ray[others], box[others]
                 right[rows[ray[~self._clear(some.rows(ray), box)]]] = False
@@ -120,8 +120,10 @@ class OriginJudge:
                 leaving = (surface.slope(q, back).sign() > 0) | (surface.slope(p, back).sign() < 0)
                 same &= (here < 0) | leaving
             elif surface.corners:
-                edges = [_edge_side(surface, corner, q, back) for corner in range(3)]
-                same |= (np.max(edges, axis=0) > 0) & (np.min(edges, axis=0) < 0)
+                corners = [sub(corner, q) for corner in surface.corners]
+                edges: list[Any] = [dot(cross(corners[i], corners[i - 1]), back) for i in range(3)]
+                signs = [edge.sign() for edge in edges]
+                same |= (np.max(signs, axis=0) > 0) & (np.min(signs, axis=0) < 0)
             clear[rows] = same
         return clear
 
@@ -144,66 +146,48 @@ class OriginJudge:
         if answer.t is None or ray.prim not in prims or not np.isfinite(ray.q).all():
             return UNDECIDED, -1
         (line,) = integer_rays(ray.q[None], ray.w[None])
-        found = 0
+        found, places = 0, points_at(answer.t, ray)
         for part, _, rows in self.index.by_part(self.row_of[prims]):
             for k in rows.tolist():
-                of_member = _own_surface(part, k, answer.t, ray, line)
+                of_member = _own_surface(part, k, places, ray, line)
                 found |= of_member if part.ids[k] == ray.prim or not of_member else UNDECIDED
-        crossed = [self._between(p, ray, line, prims) for p in points_at(answer.t, ray)]
-        if crossed[0] != crossed[-1]:
+        between, *others = {self._between(p, ray, line, prims) for p in places}
+        if others:
             return found | UNDECIDED, -1
-        between, undecided = crossed[0]
-        found |= (SKIPPED if between >= 0 else 0) | (UNDECIDED if undecided else 0)
-        return (found if not found & WRONG else found & WRONG), between
+        found |= SKIPPED if between >= 0 else 0
+        return (found & WRONG or found), between
 
-    def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: list[int]) -> tuple[int, bool]:
-        """(a primitive other than the members that meets the way from q to p, or -1; whether one lies along it)."""
+    def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: list[int]) -> int:
+        """A primitive other than the members that meets the way from q to p, or -1."""
         way = sub(exact_vector(ray.q), p)
         scale = math.lcm(*(x.denominator for x in way))
         x, y, z = (int(scale * each) for each in way)
         if not (x or y or z):
-            return -1, False
+            return -1
         # From p to q, so that what rays meet from outside only counts as they would meet it.
         at_p, line = Fraction(-1, scale), IntegerRay(line.o, line.ko, (x, y, z), 0)
         start = np.array([[float(each) for each in p]])
-        (near,) = self.index.candidates(start, ray.q - start, np.zeros(1), np.ones(1))
-        found, contacts = [], []
-        for part, k, _ in near:
-            if part.ids[k] not in members:
-                crossed = part.intersect(k, line)
-                found += [int(part.ids[k]) for t, _ in crossed.roots if at_p < t <= 0]
-                contacts += [(each.first, each.last) for each in crossed.contacts]
-        along = any(first and last and first <= 0 and last > at_p for first, last in contacts)
-        return min(found, default=-1), along
+        (near,) = self.index.candidates(start, ray.q - start, 0.0, 1.0)
+        others = [(part, k) for part, k, _ in near if part.ids[k] not in members]
+        return min(
+            (int(part.ids[k]) for part, k in others if any(at_p < t <= 0 for t, _ in part.intersect(k, line))),
+            default=-1,
+        )
 
 
-def _edge_side(surface: ImplicitSurface, corner: int, q: Vector, back: Vector) -> np.ndarray:
-    """Sign of the edge function of one edge of a triangle along a line through q."""
-    a, b = sub(surface.corners[corner], q), sub(surface.corners[corner - 1], q)
-    along: Any = dot(cross(a, b), back)
-    return np.asarray(along.sign())
-
-
-def _own_surface(part: PrimitiveArray, k: int, t: Root, ray: Departures, line: IntegerRay) -> int:
-    """The finding of self-hit and side for one primitive that passes through p."""
+def _own_surface(part: PrimitiveArray, k: int, places: list[Vector], ray: Departures, line: IntegerRay) -> int:
+    """The finding of self-hit and side for one primitive that passes through p, which is within `places`."""
     if part.kind.surface is None:
         return UNDECIDED
     surface = part.kind.surface([*map(exact_vector, part.kind.vectors(part.prims, k))])
-    o, d, w, q = map(exact_vector, (ray.o, ray.d, ray.w, ray.q))
-    # The slope along w is linear in t.
-    at_start, ahead = surface.slope(o, w), surface.slope(tuple(map(sum, zip(o, d, strict=True))), w)
-    wanted = linear_sign(at_start, ahead - at_start, t)
-    if not wanted:
+    w = exact_vector(ray.w)
+    wanted, *others = {sign(surface.slope(p, w)) for p in places}
+    if others or not wanted:
         return UNDECIDED
-    side = sign(surface.value(q))
+    side = sign(surface.value(exact_vector(ray.q)))
     stays_inside = surface.curved and side == wanted == -1  # it may leave the surface on the far side
-    hits_itself = not stays_inside and any(at >= 0 for at, _ in part.intersect(k, line).roots)
+    hits_itself = not stays_inside and any(at >= 0 for at, _ in part.intersect(k, line))
     return (SELF_HIT if hits_itself else 0) | (WRONG_SIDE if side != wanted else 0)
-
-
-def linear_sign(a: Fraction, b: Fraction, t: Root) -> int:
-    """The sign of a + b t."""
-    return sign(b) * t.compare(-a / b) if b else sign(a)
 
 
 def points_at(t: Root, ray: Departures) -> list[Vector]:

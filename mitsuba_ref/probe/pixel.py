@@ -191,7 +191,7 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
     if answer is None:
         return {}
     ties = [each._asdict() for each in tie_members(judge.scene, judge.model.packed, answer)]
-    return {"hit": answer.hit, "t": answer.distance, "ties": ties, "flags": sorted(answer.flags)}
+    return {"hit": answer.hit, "t": answer.distance, "ties": ties}
 
 
 def _answer(scene: Scene, aovs: Aovs, t: Array) -> dict[str, Any]:

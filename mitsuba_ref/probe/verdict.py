@@ -178,8 +178,6 @@ def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
         yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
     if len(exact["ties"]) > MAX_TIES_SHOWN:
         yield f"         and {len(exact['ties']) - MAX_TIES_SHOWN} more at the same t (--json lists them)"
-    if exact["flags"]:
-        yield f"         on the way: {', '.join(exact['flags'])}"
 
 
 def _value_lines(name: str, value: Any) -> Iterator[str]:

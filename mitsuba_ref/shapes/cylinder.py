@@ -26,7 +26,7 @@ from mitsuba_ref.shapes.surface_errors import intersect_round, on_circle, ours_t
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
     Rng,
-    UnitPoints,
+    SurfacePoints,
     coin_flip,
     on_unit_shape,
     random_fractions,
@@ -50,16 +50,11 @@ SHEAR_ROUNDING = 8 * U32  # shear of a matrix without any that float32 rounding 
 
 def mitsuba_accepts_matrix(linear: Array) -> bool:
     """Whether Mitsuba accepts a 3x3 matrix as that of a round, straight cylinder that is not mirrored."""
-    stretch = np.array(polar_decomposition(linear)[1])
+    _, sizes, v = np.linalg.svd(linear)
+    stretch = v.T @ np.diag(sizes) @ v
     shear = np.max(np.abs([stretch[0, 1], stretch[0, 2], stretch[1, 2], stretch[0, 0] - stretch[1, 1]]))
     rounding = SHEAR_ROUNDING * np.max(np.abs(stretch))
     return bool(shear <= rounding and shear + rounding <= LARGEST_SHEAR and np.linalg.det(linear) > 0.0)
-
-
-def polar_decomposition(linear: Array) -> tuple[Array, Array]:
-    """(rotation, symmetric stretch) whose product is the matrix."""
-    u, sizes, v = np.linalg.svd(linear)
-    return u @ v, v.T @ np.diag(sizes) @ v
 
 
 def uv_points(_prims: Any, _k: Array, uv: Array, whole_turn: bool = False) -> Array:
@@ -92,7 +87,7 @@ def expected_cylinder(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     )
 
 
-def unit_cylinder_points(rng: Rng, count: int, sort: str) -> UnitPoints:
+def unit_cylinder_points(rng: Rng, count: int, sort: str) -> SurfacePoints:
     c, s = unit_circle_points(rng, count)
     zero, one = np.zeros(count), np.ones(count)
     z = rng.integers(0, 2, count).astype(float) if sort in ("corner", "beside") else random_fractions(rng, count)[:, 0]
@@ -100,7 +95,7 @@ def unit_cylinder_points(rng: Rng, count: int, sort: str) -> UnitPoints:
         z += 10.0 ** rng.uniform(*BESIDE_DECADES, count) * np.where(z > 0.0, 1.0, -1.0)
     around, upright = np.column_stack([-s, c, zero]), np.column_stack([zero, zero, one])
     along = np.where(rng.random((count, 1)) < 0.5, around, upright)
-    return np.column_stack([c, s, z]), along, np.column_stack([c, s, zero])
+    return SurfacePoints(np.column_stack([c, s, z]), along, np.column_stack([c, s, zero]))
 
 
 def random_fields(rng: Rng, lattice: bool) -> Fields:
@@ -118,16 +113,6 @@ def view_cylinder(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectVie
     return DefectView(axis_angle=float(sine), stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
 
 
-TANGENT = KnownDefect(
-    55, "a cylinder that a ray touches along its wall, exactly", 6, lambda m: "tangent" in m.where, "missed"
-)
-RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, lambda m: "rim" in m.where, "missed")
-ALONG_AXIS = KnownDefect(
-    53, "a ray nearly along the axis of a cylinder", 14, lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
-)
-THIN_AND_FAR = KnownDefect(57, "a cylinder that is thin and far away", 16, small_and_far)
-FAR_FROM_ORIGIN = KnownDefect(61, "a cylinder far from the origin", 22, far_from_origin)
-
 CYLINDERS = PrimitiveReference(
     Cylinders,
     ErrorModel(intersect, EXACT_CYLINDERS, ours_through_object_space(intersect), uv=UV),
@@ -135,7 +120,19 @@ CYLINDERS = PrimitiveReference(
     on_unit_shape(unit_cylinder_points),
     derived=("to_object",),
     rounding_groups=(by_matrix,),
-    known_defects=(STARTS_ON_CURVED, TANGENT, RIM, ALONG_AXIS, STRETCHED, THIN_AND_FAR, FAR_FROM_ORIGIN),
+    known_defects=(
+        STARTS_ON_CURVED,
+        KnownDefect(
+            55, "a cylinder that a ray touches along its wall, exactly", 6, lambda m: "tangent" in m.where, "missed"
+        ),
+        KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, lambda m: "rim" in m.where, "missed"),
+        KnownDefect(
+            53, "a ray nearly along the axis of a cylinder", 14, lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
+        ),
+        STRETCHED,
+        KnownDefect(57, "a cylinder that is thin and far away", 16, small_and_far),
+        KnownDefect(61, "a cylinder far from the origin", 22, far_from_origin),
+    ),
     defect_view=view_cylinder,
 )
 REFERENCE = ShapeReference(

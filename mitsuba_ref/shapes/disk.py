@@ -22,36 +22,30 @@ from mitsuba_ref.error_model.intersections import (
     Intersections,
     UvSpace,
     by_normal,
-    finite_or_zero,
     norm,
     position_error,
     without_edges,
     without_float_warnings,
 )
 from mitsuba_ref.oracle.exact_kinds import DISKS as EXACT_DISKS
-from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (
     TURN,
-    UNRESOLVABLE,
     RayTransform,
     on_circle,
+    on_plane,
     ours_through_object_space,
     rays_in_object_space,
     world_normal,
 )
 from mitsuba_ref.shapes.targets import (
     Rng,
-    UnitPoints,
+    SurfacePoints,
     on_unit_shape,
     pushed_outside,
     random_fractions,
     unit_circle_points,
 )
-
-
-def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
-    return out.native(shape, "disk", part.center, part.to_world)
 
 
 @without_float_warnings
@@ -64,20 +58,17 @@ def intersect(
     t = -rays.o[:, 2] / rays.d[:, 2]
     components, slope = rays.components(t), np.abs(rays.d[:, 2])
     rho = ku * rays.rows[:, 2] * rays.d_size / slope
-    resolvable = rho < UNRESOLVABLE
-    t_error = ku * (components[:, 2] / slope + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE))
-    t_error = np.where(resolvable, t_error, np.inf)
+    settled, t_error, resolvable = on_plane(t, components[:, 2], slope, rho, ku)
     q = rays.o + t[:, None] * rays.d
     rim = np.hypot(q[:, 0], q[:, 1])
     rim_error = ku * (components[:, 0] + components[:, 1]) + t_error * norm(rays.d[:, :2])
     possible, certain = ~(rim - 1.0 > rim_error), (1.0 - rim > rim_error) & resolvable
     up = np.tile([0.0, 0.0, 1.0], (len(k), 1))
     n, n_error = world_normal(to_object, up, np.zeros(len(k)), ku)
-    t = finite_or_zero(t, t_error)
-    p_error = position_error(o, d, t, t_error, ku)
+    p_error = position_error(o, d, settled, t_error, ku)
     uv = np.where(np.isfinite(q), q, 0.0) * np.array([1.0, 1.0, 0.0])
     uv_error = rim_error + TURN * ku * rim
-    return (without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error),)
+    return (without_edges(settled, t_error, n, n_error, possible, certain, p_error, uv, uv_error),)
 
 
 def uv_points(_prims: Any, _k: Array, uv: Array, whole_turn: bool = False) -> Array:
@@ -95,24 +86,17 @@ def expected_disk(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     yield up_to_rounding("to_world", part.to_world[0], shape.matrix[:3, :3])
 
 
-def unit_disk_points(rng: Rng, count: int, sort: str) -> UnitPoints:
+def unit_disk_points(rng: Rng, count: int, sort: str) -> SurfacePoints:
     c, s = unit_circle_points(rng, count)
     zero = np.zeros(count)
     rim, around = np.column_stack([c, s, zero]), np.column_stack([-s, c, zero])
     share = random_fractions(rng, count) if sort == "inside" else np.ones((count, 1))
     along = np.where(rng.random((count, 1)) < 0.5, around, rim)
-    return share * pushed_outside(rng, rim, sort), along, np.tile([0.0, 0.0, 1.0], (count, 1))
+    return SurfacePoints(share * pushed_outside(rng, rim, sort), along, np.tile([0.0, 0.0, 1.0], (count, 1)))
 
 
 on_disks = on_unit_shape(unit_disk_points)
 
-
-def view_disk(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
-    return DefectView(cosine=abs_cosine(prims.to_object[k][2], d))
-
-
-RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, lambda m: "rim" in m.where, "missed")
-FAR_FROM_ORIGIN = KnownDefect(47, "a disk far from the origin", 21, far_from_origin)
 
 DISKS = PrimitiveReference(
     Disks,
@@ -121,7 +105,19 @@ DISKS = PrimitiveReference(
     on_disks,
     derived=("to_object",),
     rounding_groups=(by_normal,),
-    known_defects=(STARTS_ON_FLAT, RIM, GRAZED_FLAT, FAR_FROM_ORIGIN),
-    defect_view=view_disk,
+    known_defects=(
+        STARTS_ON_FLAT,
+        KnownDefect(45, "a ray through the rim of a disk, exactly", 8, lambda m: "rim" in m.where, "missed"),
+        GRAZED_FLAT,
+        KnownDefect(47, "a disk far from the origin", 21, far_from_origin),
+    ),
+    defect_view=lambda prims, k, o, d, t: DefectView(cosine=abs_cosine(prims.to_object[k][2], d)),
 )
-REFERENCE = ShapeReference(Disk, to_xml, (DISKS,), expected_disk, groups=("quadric", "flat", "small"), analytic=True)
+REFERENCE = ShapeReference(
+    Disk,
+    lambda out, shape, part: out.native(shape, "disk", part.center, part.to_world),
+    (DISKS,),
+    expected_disk,
+    groups=("quadric", "flat", "small"),
+    analytic=True,
+)

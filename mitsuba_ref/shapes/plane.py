@@ -147,8 +147,7 @@ def intersect(prims: Patches, k: Array, o: Array, d: Array, ku: float) -> tuple[
     sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))
     t, everywhere = finite_or_zero(t, t_error), np.ones(len(k), bool)
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
-    uv, uv_error = np.zeros((len(k), 3)), np.zeros(len(k))  # uv of a patch are those of its triangles
-    return (without_edges(t, t_error, n, n_error, everywhere, sure, p_error, uv, uv_error),)
+    return (without_edges(t, t_error, n, n_error, everywhere, sure, p_error, local.uv, local.uv_error),)
 
 
 # Two unit vectors in the plane are cross products of length >= 1/2: of 3 roundings each, divided by a length of 4
@@ -175,12 +174,10 @@ def intersect_ours(prims: Patches, k: Array, o: Array, d: Array, ku: float) -> t
     n, point = prims.normal[k], prims.point[k]
     slope = dot(n, d)
     t = dot(n, point - o) / slope
-    rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
+    rho = np.where(np.isfinite(t), ku * dot(np.abs(n), np.abs(d)) / np.abs(slope), np.inf)
     reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
-    t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
-    t_error = np.where(rho < surface_errors.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
-    t_error = np.where(np.isfinite(t), t_error, np.inf)
-    t, everywhere, flat = finite_or_zero(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
+    t, t_error, _ = surface_errors.on_plane(t, dot(np.abs(n), reach), np.abs(slope), rho, ku)
+    everywhere, flat = np.ones(len(k), bool), np.full(len(k), ku)
     p_error = position_error(o, d, t, t_error, ku)
     certain = np.isfinite(t_error)
     uv, uv_error = _uv(n, o + t[:, None] * d - point, p_error + ku * norm(point), ku)
@@ -202,8 +199,7 @@ def _face_of_hit(prims: Patches, k: Array, o: Array, d: Array, t: Array) -> tupl
 def _height(corners: Array) -> Array:
     """Smallest heights (m,) of triangles with corners (m, 3, 3)."""
     edges = np.roll(corners, -1, axis=1) - corners
-    area = norm(np.cross(edges[:, 0], edges[:, 1]))
-    return area / np.sqrt((edges * edges).sum(axis=2)).max(axis=1)
+    return norm(np.cross(edges[:, 0], edges[:, 1])) / np.linalg.norm(edges, axis=2).max(axis=1)
 
 
 def _least_height(half: Array, face: Array) -> Array:
@@ -212,12 +208,13 @@ def _least_height(half: Array, face: Array) -> Array:
     return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
 
 
+def describe_surface(part: Planes, k: int) -> Fields:
+    """The packed numbers as they are: the length of the normal does not change the plane."""
+    return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
+
+
 def describe_plane(part: Planes, k: int) -> Fields:
-    return {
-        "type": "plane",
-        "normal": unit_vector_rounding_to(part.normal[k]).tolist(),
-        "point": part.point[k].tolist(),
-    }
+    return describe_surface(part, k) | {"normal": unit_vector_rounding_to(part.normal[k]).tolist()}
 
 
 def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
@@ -245,25 +242,16 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
     return {"normal": normal, "offset": random_point(rng, lattice)[0]}
 
 
-def describe_plane_surface(part: Planes, k: int) -> Fields:
-    """The packed numbers as they are: the length of the normal does not change the plane."""
-    return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
-
-
-def view_plane(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
-    return DefectView(cosine=abs_cosine(prims.normal[k], d))
-
-
 PLANES = PrimitiveReference(
     Planes,
     ErrorModel(intersect, EXACT_PLANES, intersect_ours, uv=UvSpace(reference=None)),
     describe_plane,
     on_planes,
-    describe_surface=describe_plane_surface,
+    describe_surface=describe_surface,
     rounding_groups=(by_normal,),
     position_terms=lambda part, k, weights, p: np.abs(p),  # corners of the patch are about as far away as the hit
     known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
-    defect_view=view_plane,
+    defect_view=lambda prims, k, o, d, t: DefectView(cosine=abs_cosine(prims.normal[k], d)),
 )
 REFERENCE = ShapeReference(
     Plane,

@@ -19,33 +19,14 @@ from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import Array, ErrorModel, GroupKey, single_group
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.targets import Rng, SurfacePoints
+from mitsuba_ref.shapes.targets import PointsFunction, Rng
 
 Fields = dict[str, Any]  # of a shape, as a scene file gives them
+RandomFields = Callable[[Rng, bool], Fields]
 
 # (arrays, k (m,), Mitsuba's barycentrics (m, 3) and position (m, 3)) -> (m, 3) sum of the magnitudes of the terms of
 # each coordinate of that position
 PositionTerms = Callable[[Any, Array, Array, Array], Array]
-
-
-def as_packed(part: Any, o: Array, d: Array) -> Any:
-    """No stand-in: Mitsuba traces the packed numbers."""
-    return part
-
-
-def all_numbers(part: Any, k: int) -> list[Array]:
-    """Row k of every array."""
-    return [array[k] for array in part]
-
-
-def plain_view(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
-    """Measurements for a kind without known defects of its own."""
-    return DefectView()
-
-
-def no_fields(rng: Rng, lattice: bool) -> Fields:
-    """No fields: the shape varies by its to_world alone."""
-    return {}
 
 
 @dataclass(frozen=True)
@@ -60,8 +41,8 @@ class PrimitiveReference:
     # (arrays, k) -> fields of a shape that packs to exactly the numbers of primitive k
     describe: Callable[[Any, int], Fields]
 
-    # (arrays, k (m,), random generator, one of targets.SORTS) -> points where hits are hard to decide
-    surface_points: Callable[[Any, Array, Rng, str], SurfacePoints]
+    # points where hits are hard to decide
+    surface_points: PointsFunction
 
     # (arrays, k) -> fields of the same surface, if the packed bits do not matter; None: as `describe`
     describe_surface: Callable[[Any, int], Fields] | None = None
@@ -70,7 +51,7 @@ class PrimitiveReference:
     describe_all: Callable[[Any, Path], Fields] | None = None
 
     # (arrays, k) -> the numbers that rays are traced and judged with
-    numbers: Callable[[Any, int], list[Array]] = all_numbers
+    numbers: Callable[[Any, int], list[Array]] = lambda part, k: [array[k] for array in part]
 
     # names of arrays that packing derives from its rounded numbers, and does not round
     derived: tuple[str, ...] = ()
@@ -84,7 +65,7 @@ class PrimitiveReference:
 
     # known defects of Mitsuba for this kind, and the measurements that identify them
     known_defects: tuple[KnownDefect, ...] = ()
-    defect_view: Callable[[Any, int, Array, Array, float], DefectView] = plain_view
+    defect_view: Callable[[Any, int, Array, Array, float], DefectView] = lambda prims, k, o, d, t: DefectView()
 
     @property
     def name(self) -> str:
@@ -107,8 +88,9 @@ class ShapeReference:
     # (description, its packed arrays) -> the expected numbers, computed independently
     expected: ExpectedPacking
 
-    # (random generator, whether coordinates are on the fuzzer's lattice) -> the shape's own fields, of about unit size
-    random_fields: Callable[[Rng, bool], Fields] = no_fields
+    # (random generator, whether coordinates are on the fuzzer's lattice) -> the shape's own fields, of about unit size;
+    # without any, the shape varies by its to_world alone
+    random_fields: RandomFields = lambda rng, lattice: {}
 
     # the groups that the fuzzer draws it in: "quadric", "flat", "mesh", "small" (few primitives)
     groups: tuple[str, ...] = ()
@@ -120,7 +102,7 @@ class ShapeReference:
     analytic: bool = False
 
     # (float32 arrays, rays o, d) -> stand-in that Mitsuba traces if it lacks the shape, and a remark about it
-    stand_in: Callable[[Any, Array, Array], Any] = as_packed
+    stand_in: Callable[[Any, Array, Array], Any] = lambda part, o, d: part
     stand_in_note: str = ""
 
     @property

@@ -3,6 +3,7 @@ from outside only; error models and targets."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,12 +55,12 @@ from mitsuba_ref.shapes.surface_errors import (
 from mitsuba_ref.shapes.targets import (
     Rng,
     SurfacePoints,
-    UnitPoints,
     coin_flip,
     on_unit_shape,
     pushed_outside,
     random_length,
     random_point,
+    random_unit_vectors,
     unit_circle_points,
 )
 
@@ -103,10 +104,6 @@ def reference_uv_points(prims: Spheres, k: Array, uv: Array) -> Array:
 
 SPHERES_UV = UvSpace(sphere_uv_points, reference_uv_points, partial(sphere_uv_points, whole_turn=True))
 intersect_ellipsoid = partial(intersect_round, ends=False)
-
-
-def describe_sphere(part: Spheres, k: int) -> Fields:
-    return {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])}
 
 
 def describe_spheres(part: Spheres, file: Path) -> Fields:
@@ -156,14 +153,13 @@ def on_spheres(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
     return SurfacePoints(prims.center[k] + r * p, r * along, n)
 
 
-def unit_sphere_points(rng: Rng, count: int, sort: str) -> UnitPoints:
+def unit_sphere_points(rng: Rng, count: int, sort: str) -> SurfacePoints:
     c, s = unit_circle_points(rng, count)
     turned = rng.permuted(np.column_stack([c, s, np.zeros(count)]), axis=1)
-    any_way = rng.normal(size=(count, 3))
-    any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
+    any_way = random_unit_vectors(rng, count)
     u = np.where((sort == "corner") | (rng.random((count, 1)) < 0.3), turned, any_way)
     across = np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=1)])
-    return pushed_outside(rng, u, sort), across, u
+    return SurfacePoints(pushed_outside(rng, u, sort), across, u)
 
 
 def random_fields(rng: Rng, lattice: bool) -> Fields:
@@ -177,15 +173,6 @@ def random_cloud(rng: Rng, lattice: bool) -> Fields:
     if coin_flip(rng):
         return {"centers": centers, "radius": random_length(rng, lattice)}
     return {"centers": centers, "radii": [random_length(rng, lattice) for _ in range(count)]}
-
-
-def view_ellipsoid(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectView:
-    return DefectView(stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
-
-
-def numbers_of_sphere(part: Spheres, k: int) -> list[Array]:
-    """All numbers but the rotation, which only uv depend on."""
-    return [part.center[k], part.radius[k]]
 
 
 TANGENT = KnownDefect(
@@ -207,10 +194,10 @@ DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 SPHERES = PrimitiveReference(
     Spheres,
     ErrorModel(intersect, exact_kinds.SPHERES, uv=SPHERES_UV),
-    describe_sphere,
+    lambda part, k: {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])},
     on_spheres,
     describe_all=describe_spheres,
-    numbers=numbers_of_sphere,
+    numbers=lambda part, k: [part.center[k], part.radius[k]],  # not the rotation, which only uv depend on
     rounding_groups=(by_approach,),
     rounding_groups_llvm=(by_center,),
     known_defects=DEFECTS,
@@ -229,14 +216,12 @@ ELLIPSOIDS = PrimitiveReference(
     derived=("to_object",),
     rounding_groups=(by_matrix,),
     known_defects=(*DEFECTS, STRETCHED),
-    defect_view=view_ellipsoid,
-)
-CLOUD = ShapeReference(
-    SphereCloud, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_cloud, groups=("quadric",), analytic=True
+    defect_view=lambda prims, k, o, d, t: DefectView(stretch=float(np.linalg.norm(prims.to_object[k] @ d))),
 )
 REFERENCE = ShapeReference(
     Sphere, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_fields, groups=("quadric", "small"), analytic=True
 )
+CLOUD = replace(REFERENCE, describes=SphereCloud, random_fields=random_cloud, groups=("quadric",))
 
 # Properties of Mitsuba's file; it reads those between nz and scale_0 as an attribute `exact` of the shape.
 PROPERTIES = (
@@ -312,21 +297,17 @@ def random_ellipsoids(rng: Rng, lattice: bool) -> Fields:
     }
 
 
-OUTER_ELLIPSOIDS = PrimitiveReference(
-    OuterEllipsoids,
-    ErrorModel(
+OUTER_ELLIPSOIDS = replace(
+    ELLIPSOIDS,
+    arrays=OuterEllipsoids,
+    model=ErrorModel(
         enter_ellipsoid,
         exact_kinds.OUTER_ELLIPSOIDS,
         ours_through_object_space(partial(enter_ellipsoid, float32=False)),
         UvSpace(sphere_uv_points, None),
         partial(growth_of_ellipsoids, float32=True),
     ),
-    describe_unit_shape("ellipsoids", **EllipsoidCloud.MINIMAL),
-    on_unit_shape(unit_sphere_points),
-    derived=("to_object",),
-    rounding_groups=(by_matrix,),
-    known_defects=(*DEFECTS, STRETCHED),
-    defect_view=view_ellipsoid,
+    describe=describe_unit_shape("ellipsoids", **EllipsoidCloud.MINIMAL),
 )
 ELLIPSOID_CLOUD = ShapeReference(
     EllipsoidCloud,

@@ -35,6 +35,18 @@ from mitsuba_ref.oracle.exact_kinds import TRIANGLES
 UNRESOLVABLE = 0.5
 
 
+def on_plane(t: Array, moved: Array, slope: Array, rho: Array, ku: float) -> tuple[Array, Array, Array]:
+    """(t, bound on its error, whether float32 resolves it) of a plane that rounding moves by ku `moved` across itself.
+
+    slope: |n.d|, which is known to a fraction rho of itself. t is 0 where it is not finite and has no bound: of a ray
+    that lies in the plane.
+    """
+    resolvable = rho < UNRESOLVABLE
+    t_error = ku * (moved / slope + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE))
+    t_error = np.where(resolvable, t_error, np.inf)
+    return finite_or_zero(t, t_error), t_error, resolvable
+
+
 @without_float_warnings
 def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with triangle k[i], from its plane and its three edge functions."""
@@ -48,9 +60,9 @@ def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Inte
     weights = edges / total[:, None]
     n = across / area[:, None]
     t = dot(n, a) / dot(n, d)
-    t_error, resolvable = _t_error(n, across, area, (a, b, c), weights, t, d, ku)
+    settled, t_error, resolvable = _t_and_error(n, across, area, (a, b, c), weights, t, d, ku)
     n_error = ku * (norm(cross_permanent(b - a, c - a)) / area + 1.0)
-    traced = (area > 0.0) & _kept(corners)
+    traced = (area > 0.0) & np.all([np.abs(corner).max(axis=1) < LARGEST_COORDINATE for corner in corners], axis=0)
     possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
     inside = edges * np.sign(total)[:, None] > edge_errors
     sure = resolvable & possible & np.isfinite(t)
@@ -59,12 +71,9 @@ def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Inte
     p_error = _barycentric_mean(corners, weights, weight_errors, ku)[1]
     uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
     edge, side = _uncertain_edge(corners, inside, np.sign(total), sure)
-    t_error = np.where(resolvable, t_error, np.inf)
-    t = finite_or_zero(t, t_error)
     certain = inside.all(axis=1) & sure
-    return (
-        Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error, edge, side),
-    )
+    hits = settled, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error, edge, side
+    return (Intersections(*hits),)
 
 
 @without_float_warnings
@@ -91,25 +100,13 @@ def _uncertain_edge(corners: list[Array], inside: Array, facing: Array, sure: Ar
     """
     edge, side = np.full((6, len(sure)), np.nan).T, np.zeros(len(sure))
     hanging = sure & (inside.sum(axis=1) == 2)
-    for j, (p, q) in enumerate(((2, 1), (0, 2), (1, 0))):  # U belongs to the edge from c to b, and so on
+    for j, (first, last) in enumerate(((2, 1), (0, 2), (1, 0))):  # U belongs to the edge from c to b, and so on
         rows = np.flatnonzero(hanging & ~inside[:, j])
-        start, end = corners[p][rows], corners[q][rows]
-        swapped = _is_after(start, end)
+        start, end = corners[first][rows], corners[last][rows]
+        swapped = np.array([p > q for p, q in zip(start.tolist(), end.tolist(), strict=True)], bool)
         edge[rows] = np.where(swapped[:, None], np.hstack([end, start]), np.hstack([start, end]))
         side[rows] = facing[rows] * np.where(swapped, -1.0, 1.0)
     return edge, side
-
-
-def _is_after(p: Array, q: Array) -> Array:
-    """Whether p comes after q, ordered by x, then y, then z."""
-    differs = p != q
-    first = np.argmax(differs, axis=1)[:, None]
-    after: Array = np.take_along_axis(p, first, axis=1) > np.take_along_axis(q, first, axis=1)
-    return after[:, 0]
-
-
-def _kept(corners: list[Array]) -> Array:
-    return np.all([np.abs(corner).max(axis=1) < LARGEST_COORDINATE for corner in corners], axis=0)
 
 
 def _edge_functions(a: Array, b: Array, c: Array, d: Array, ku: float) -> tuple[Array, Array]:
@@ -132,7 +129,7 @@ def _edge_functions(a: Array, b: Array, c: Array, d: Array, ku: float) -> tuple[
     return edges, ku * stacked_columns(*errors)
 
 
-def _t_error(
+def _t_and_error(
     n: Array,
     across: Array,
     area: Array,
@@ -141,8 +138,8 @@ def _t_error(
     t: Array,
     d: Array,
     ku: float,
-) -> tuple[Array, Array]:
-    """(bound on the error of t, whether float32 resolves the intersection at all).
+) -> tuple[Array, Array, Array]:
+    """As on_plane.
 
     Three sources of error: rounded corners move the plane (displacement); the rounded normal tilts it about the first
     corner (lever); and n.d is only known to a fraction rho of itself. A corner moved by e changes N.d by
@@ -159,8 +156,7 @@ def _t_error(
     opposite = ((a, b - c), (b, c - a), (c, a - b))
     tilt = sum(dot(np.abs(corner), np.abs(cross(edge, d))) for corner, edge in opposite) / area
     rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread) + tilt / K) / steepness
-    resolvable = rho < UNRESOLVABLE
-    return ku * ((displacement + lever) / steepness + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE)), resolvable
+    return on_plane(t, displacement + lever, steepness, rho, ku)
 
 
 def _shading(

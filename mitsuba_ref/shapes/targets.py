@@ -25,14 +25,11 @@ class SurfacePoints(NamedTuple):
     n: Array  # (m, 3) across the surface, of any length
 
 
-UnitPoints = tuple[Array, Array, Array]  # p, along, n of a shape at the origin
-
-
 # (arrays, k (m,), random generator, one of POINT_KINDS) -> points where hits are hard to decide
 PointsFunction = Callable[[Any, Array, Rng, str], SurfacePoints]
 
 
-def on_unit_shape(points: Callable[[Rng, int, str], UnitPoints]) -> PointsFunction:
+def on_unit_shape(points: Callable[[Rng, int, str], SurfacePoints]) -> PointsFunction:
     """Points of a unit shape under p -> center + to_world p. points: of the unit shape."""
 
     def on_shapes(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
@@ -67,9 +64,8 @@ def random_fractions(rng: Rng, count: int) -> Array:
 
 def random_point(rng: Rng, lattice: bool) -> list[float]:
     """A point in the cube [-1, 1]^3, in units of the shape."""
-    if lattice:
-        return [float(x) for x in rng.integers(-LATTICE_STEPS, LATTICE_STEPS + 1, 3) / LATTICE_STEPS]
-    return [float(x) for x in rng.uniform(-1.0, 1.0, 3)]
+    steps = rng.integers(-LATTICE_STEPS, LATTICE_STEPS + 1, 3) / LATTICE_STEPS if lattice else rng.uniform(-1.0, 1.0, 3)
+    return [*steps.tolist()]
 
 
 def random_length(rng: Rng, lattice: bool) -> float:
@@ -82,10 +78,15 @@ def coin_flip(rng: Rng) -> bool:
     return bool(rng.random() < 0.5)
 
 
+def random_unit_vectors(rng: Rng, count: int) -> Array:
+    """(count, 3) in any direction alike."""
+    v = rng.normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
 def random_directions(rng: Rng, count: int) -> Array:
     """(count, 3) of about unit length; some along axes, some with small whole components."""
-    any_way = rng.normal(size=(count, 3))
-    any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
+    any_way = random_unit_vectors(rng, count)
     whole = rng.integers(-3, 4, (count, 3)).astype(float)
     whole[~whole.any(axis=1), 0] = 1.0
     axes = np.eye(3)[rng.integers(3, size=count)] * rng.choice([-1.0, 1.0], (count, 1))

@@ -5,8 +5,7 @@ rectangles and cubes: Mitsuba's own take shading normals from the matrix, ours f
 differ far from the origin; and if mirrored, geometric normals of Mitsuba's own point inwards.
 """
 
-from collections.abc import Callable, Iterator
-from fractions import Fraction
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -37,12 +36,13 @@ from mitsuba_ref.error_model.independent_transform import (
 )
 from mitsuba_ref.error_model.intersections import Array, by_normal
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
+from mitsuba_ref.oracle.exact_numbers import cross, sub
+from mitsuba_ref.oracle.implicit_surfaces import exact_vector
 from mitsuba_ref.shapes.shape_reference import (
     Fields,
     PrimitiveReference,
+    RandomFields,
     ShapeReference,
-    no_fields,
     unit_vector_rounding_to,
 )
 from mitsuba_ref.shapes.surface_errors import MODEL
@@ -107,57 +107,20 @@ def _beyond(corners: Array, o: Array, d: Array, t: float) -> bool:
 
 def has_area(corners: Array) -> bool:
     """Whether the triangle has an area, exactly: the cross product of its edges in fractions."""
-    a, b, c = ([Fraction(x) for x in corner] for corner in corners.tolist())
-    u, v = ([x - y for x, y in zip(p, a, strict=True)] for p in (b, c))
-    return any(u[i] * v[j] != u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
+    a, b, c = map(exact_vector, corners)
+    return any(cross(sub(b, a), sub(c, a)))
 
 
 def numbers_of_triangle(part: Triangles, k: int) -> list[Array]:
     """Corners, and normals and uv if they are used."""
     corners = part.faces[k]
-    smooth, textured = part.smooth[k], part.textured[k]
-    rest = [part.normals[corners]] if smooth else []
-    return [part.vertices[corners], smooth, textured, *rest, *([part.uv[corners]] if textured else [])]
+    numbers = [part.vertices[corners], part.smooth[k], part.textured[k]]
+    if part.smooth[k]:
+        numbers.append(part.normals[corners])
+    if part.textured[k]:
+        numbers.append(part.uv[corners])
+    return numbers
 
-
-def corners_by_barycentrics(part: Triangles, k: Array, weights: Array, p: Array) -> Array:
-    return np.einsum("ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]]))
-
-
-NO_AREA = KnownDefect(
-    21, "a triangle without area that Embree's robust mode hits nevertheless", 3, lambda m: m.without_area, "named"
-)
-BEYOND_CORNERS = KnownDefect(
-    28,
-    "a triangle nearly edge-on: Embree's robust mode accepts a ray beyond an edge, with a t beyond the corners",
-    4,
-    lambda m: m.beyond_corners and m.cosine < NEARLY_EDGE_ON_COSINE,
-    "named",
-)
-VERTEX = KnownDefect(
-    16,
-    "a ray exactly through the corner of a mesh: Embree's robust mode misses some",
-    7,
-    lambda m: "vertex" in m.where,
-    "missed",
-)
-COLLINEAR = KnownDefect(
-    22,
-    "a triangle whose corners are in a line up to rounding",
-    10,
-    lambda m: m.slenderness < COLLINEAR_HEIGHT_RATIO and m.nearly,
-)
-SLIVER = KnownDefect(19, "a sliver of a triangle", 11, lambda m: m.slenderness < SLIVER_HEIGHT_RATIO and m.nearly)
-GRAZED = KnownDefect(26, "a triangle at grazing incidence", 12, lambda m: m.cosine < GRAZING_COSINE and m.nearly)
-SMALL_AND_FAR = KnownDefect(35, "a triangle that is small and far away", 18, small_and_far)
-FAR_FROM_ORIGIN = KnownDefect(34, "a triangle far from the origin", 20, far_from_origin)
-LEAK = KnownDefect(
-    15,
-    "a ray between two triangles: Embree's default mode loses some (mitsuba3 #1149); --as-in-file judges that mode",
-    23,
-    lambda m: not m.robust and m.nearly,
-    "missed",
-)
 
 TRIANGLES = PrimitiveReference(
     Triangles,
@@ -166,25 +129,53 @@ TRIANGLES = PrimitiveReference(
     on_triangles,
     numbers=numbers_of_triangle,
     rounding_groups=(by_normal,),
-    position_terms=corners_by_barycentrics,
+    position_terms=lambda part, k, weights, p: np.einsum(
+        "ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]])
+    ),
     known_defects=(
         STARTS_ON_FLAT,
-        NO_AREA,
-        BEYOND_CORNERS,
-        VERTEX,
-        COLLINEAR,
-        SLIVER,
-        GRAZED,
-        SMALL_AND_FAR,
-        FAR_FROM_ORIGIN,
-        LEAK,
+        KnownDefect(
+            21,
+            "a triangle without area that Embree's robust mode hits nevertheless",
+            3,
+            lambda m: m.without_area,
+            "named",
+        ),
+        KnownDefect(
+            28,
+            "a triangle nearly edge-on: Embree's robust mode accepts a ray beyond an edge, with a t beyond the corners",
+            4,
+            lambda m: m.beyond_corners and m.cosine < NEARLY_EDGE_ON_COSINE,
+            "named",
+        ),
+        KnownDefect(
+            16,
+            "a ray exactly through the corner of a mesh: Embree's robust mode misses some",
+            7,
+            lambda m: "vertex" in m.where,
+            "missed",
+        ),
+        KnownDefect(
+            22,
+            "a triangle whose corners are in a line up to rounding",
+            10,
+            lambda m: m.slenderness < COLLINEAR_HEIGHT_RATIO and m.nearly,
+        ),
+        KnownDefect(19, "a sliver of a triangle", 11, lambda m: m.slenderness < SLIVER_HEIGHT_RATIO and m.nearly),
+        KnownDefect(26, "a triangle at grazing incidence", 12, lambda m: m.cosine < GRAZING_COSINE and m.nearly),
+        KnownDefect(35, "a triangle that is small and far away", 18, small_and_far),
+        KnownDefect(34, "a triangle far from the origin", 20, far_from_origin),
+        KnownDefect(
+            15,
+            "a ray between two triangles: Embree's default mode loses some (mitsuba3 #1149); "
+            "--as-in-file judges that mode",
+            23,
+            lambda m: not m.robust and m.nearly,
+            "missed",
+        ),
     ),
     defect_view=view_triangle,
 )
-
-
-def mesh_to_xml(out: ShapeWriter, shape: Any, part: Any) -> list[XmlElement]:
-    return [out.mesh(shape, part)]
 
 
 def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
@@ -235,10 +226,6 @@ def expected_arrays(shape: Any, part: Any, faces: Any) -> Iterator[ExpectedNumbe
     yield from expected_mesh(shape, part)
 
 
-def random_triangle(rng: Rng, lattice: bool) -> Fields:
-    return {"vertices": [random_point(rng, lattice) for _ in range(3)]}
-
-
 def random_mesh(rng: Rng, lattice: bool) -> Fields:
     """A file or, once in four times, arrays: a tetrahedron, with or without normals and uv."""
     drawn = {"file": str(rng.choice(MESH_FILES)), "face_normals": coin_flip(rng)}
@@ -254,10 +241,6 @@ def random_mesh(rng: Rng, lattice: bool) -> Fields:
     return {"face_normals": drawn["face_normals"], **arrays}
 
 
-def random_icosphere(rng: Rng, lattice: bool) -> Fields:
-    return {"subdivisions": int(rng.integers(0, 2)), "face_normals": coin_flip(rng)}
-
-
 def random_torus(rng: Rng, lattice: bool) -> Fields:
     counts = {"segments": int(rng.integers(3, 7)), "sides": int(rng.integers(3, 6))}
     return {"major_radius": 0.75, "minor_radius": 0.25, "face_normals": coin_flip(rng), **counts}
@@ -269,27 +252,32 @@ def random_heightfield(rng: Rng, lattice: bool) -> Fields:
     return {"amplitude": amplitude, "face_normals": coin_flip(rng), **counts}
 
 
-def random_teapot(rng: Rng, lattice: bool) -> Fields:
-    return {"subdivisions": 1, "face_normals": coin_flip(rng)}
-
-
 def triangle_mesh_reference(
     describes: type[Shape],
-    random_fields: Callable[[Rng, bool], Fields] = no_fields,
+    random_fields: RandomFields = lambda rng, lattice: {},
     expected: ExpectedPacking = expected_mesh,
     groups: tuple[str, ...] = ("mesh",),
 ) -> ShapeReference:
     """Reference of a shape of triangles that Mitsuba reads from a PLY file."""
-    return ShapeReference(describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups)
+    return ShapeReference(
+        describes, lambda out, shape, part: [out.mesh(shape, part)], (TRIANGLES,), expected, random_fields, groups
+    )
 
 
 FLAT_AND_SMALL = ("flat", "small")
 
-TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
+TRIANGLE = triangle_mesh_reference(
+    Triangle,
+    lambda rng, lattice: {"vertices": [random_point(rng, lattice) for _ in range(3)]},
+    expected_triangle,
+    FLAT_AND_SMALL,
+)
 MESH = triangle_mesh_reference(Mesh, random_mesh, expected_file_or_arrays)
 RECTANGLE = triangle_mesh_reference(Rectangle, groups=FLAT_AND_SMALL)
 CUBE = triangle_mesh_reference(Cube, groups=("flat", "mesh"))
-ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
+ICOSPHERE = triangle_mesh_reference(
+    Icosphere, lambda rng, _: {"subdivisions": int(rng.integers(0, 2)), "face_normals": coin_flip(rng)}
+)
 TORUS = triangle_mesh_reference(Torus, random_torus)
 HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)
-TEAPOT = triangle_mesh_reference(Teapot, random_teapot)
+TEAPOT = triangle_mesh_reference(Teapot, lambda rng, _: {"subdivisions": 1, "face_normals": coin_flip(rng)})

@@ -23,8 +23,7 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
         kept[found.ray[own]], near[found.ray[own]] = True, found.near[own]
     wrong = meeting = 0
     for i, ray in enumerate(integer_rays(o, d)):
-        met = part.intersect(i, ray)
-        first = [t for t, _ in met.roots] + [touch.first for touch in met.contacts if touch.first is not None]
+        first = [t for t, _ in part.intersect(i, ray)]
         meeting += bool(first)
         wrong += any(not kept[i] or t < near[i] for t in first)
     return wrong, meeting, int(COUNT - kept.sum())

@@ -46,7 +46,7 @@ def disagreements(kind: str, scale: str, seen: Counter, seed: int = 1, count: in
     prims, o, d = aim(kind, scale, seed, count)
     (part,), wrong = Oracle(packed(prims)).primitives.parts, 0
     for i, ray in enumerate(integer_rays(o, d)):
-        found, expected = part.intersect(i, ray).roots, oracle_fractions.roots(prims, i, o[i], d[i])
+        found, expected = part.intersect(i, ray), oracle_fractions.roots(prims, i, o[i], d[i])
         wrong += not agrees(found, expected)
         seen.update([where for _, where in expected] or ["miss"])
     return wrong

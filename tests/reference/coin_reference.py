@@ -9,12 +9,12 @@ from coin_plugin import Coin, Coins, Scanner
 from caster.scene.model import Film
 from caster.shapes.disk import Disks
 from mitsuba_ref import cameras
-from mitsuba_ref.cameras.camera_reference import CameraRays, CameraReference, camera_axes, eye_origins
+from mitsuba_ref.cameras.camera_reference import CameraReference, camera_axes, eye_origins
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
-from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, by_normal
+from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, Rays, by_normal
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, shifted, sub
-from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections, next_above, next_below
+from mitsuba_ref.oracle.interface import ExactKind, Roots, boxes_around
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import disk, register
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
@@ -51,23 +51,22 @@ def vectors(prims: Coins, k: Any) -> np.ndarray:
     return np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2)
 
 
-def intersect_exactly(coin: Sequence[Integers3], bits: int, ray: IntegerRay) -> LineIntersections:
+def intersect_exactly(coin: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """t = f.z / d.z for f from the origin to the centre; there, x^2 + y^2 against r^2, all times d.z^2."""
     center, (radius, *_) = (shifted(v, bits) for v in coin)
     f = sub(center, ray.o)
     if not ray.d[2]:
-        return NO_INTERSECTION if f[2] else LineIntersections((), (Contact("edge_on", None, None),))
+        return ()
     x, y = (f[2] * ray.d[i] - f[i] * ray.d[2] for i in (0, 1))
     beyond = x * x + y * y - (radius * ray.d[2]) ** 2
     if beyond > 0:
-        return NO_INTERSECTION
-    return LineIntersections(((Root(f[2], 0, 0, ray.d[2], ray.e), "inside" if beyond else "rim"),))
+        return ()
+    return ((Root(f[2], 0, 0, ray.d[2], ray.e), "inside" if beyond else "rim"),)
 
 
 def boxes(prims: Coins) -> tuple[np.ndarray, np.ndarray]:
     """Rounded outwards."""
-    reach = prims.radius[:, None] * np.array([1.0, 1.0, 0.0])
-    return next_below(prims.center - reach), next_above(prims.center + reach)
+    return boxes_around(prims.center, prims.radius[:, None] * np.array([1.0, 1.0, 0.0]))
 
 
 # ---- what the fuzzer draws and aims at, what reproducers write, what Mitsuba is known to get wrong
@@ -101,12 +100,12 @@ COINS = PrimitiveReference(
 register(ShapeReference(Coin, to_xml, (COINS,), expected_coin, random_fields, groups=("flat", "small"), analytic=True))
 
 
-def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> Rays:
     """Parallel, from a grid around the eye."""
     right, up, forward = camera_axes(camera)
     across, above = camera.spacing * (x - film.width / 2.0), camera.spacing * (film.height / 2.0 - y)
     o = eye_origins(camera, len(x)) + np.outer(across, right) + np.outer(above, up)
-    return CameraRays(o, np.tile(forward, (len(x), 1)), np.zeros(len(x)), np.full(len(x), np.inf))
+    return Rays(o, np.tile(forward, (len(x), 1)), np.zeros(len(x)), np.full(len(x), np.inf))
 
 
 cameras.register(CameraReference(Scanner, scanner_rays))

@@ -93,15 +93,15 @@ def test_every_kind_of_primitive_has_its_groups():
 
 def test_parallel_faces_and_mirror_images_are_one_group():
     n = np.array([[0.0, 0, 1], [-0.0, 0, 1], [0, 0.6, 0.8], [0, 0.6 + 2.0**-30, 0.8], [0, -0.6, 0.8]])
-    assert groups(by_normal(None, np.arange(5), n, NOTHING, NOTHING)) == 2
-    assert groups(by_normal(None, np.arange(3), n[:1] @ np.eye(3)[[1, 2, 0]], NOTHING, NOTHING)) == 1
+    assert groups(by_normal(n=n)) == 2
+    assert groups(by_normal(n=n[:1] @ np.eye(3)[[1, 2, 0]])) == 1
     turned = np.array([[0.0, 0, 1], [2 * SAME_NORMAL_TOLERANCE, 0, 1]])
-    assert groups(by_normal(None, np.arange(2), turned, NOTHING, NOTHING)) == 2
+    assert groups(by_normal(n=turned)) == 2
 
 
 def test_primitives_of_one_matrix_are_one_group():
     prims = SimpleNamespace(to_world=np.stack([np.eye(3), np.diag([1.0, -1, 1]), 2.0 * np.eye(3)]))
-    assert groups(by_matrix(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
+    assert groups(by_matrix(prims=prims, k=np.array([0, 0, 1, 2]))) == 2
 
 
 def test_spheres_are_grouped_by_where_the_ray_passes_their_centres():
@@ -109,14 +109,14 @@ def test_spheres_are_grouped_by_where_the_ray_passes_their_centres():
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0]]))
     k = np.array([0, 0, 1])
     o = np.array([[0.1, 0.2, 7], [-0.1, 0.3, 7], [3.1, 0, 7]])
-    assert groups(by_approach(prims, k, NOTHING, o, np.tile([0.0, 0, -1], (3, 1)))) == 1
+    assert groups(by_approach(prims=prims, k=k, o=o, d=np.tile([0.0, 0, -1], (3, 1)))) == 1
     spread = np.array([[0.0, 0, -1], [0.01, 0, -1], [0.02, 0.01, -1]])
-    assert groups(by_approach(prims, k, NOTHING, np.tile([0.0, 0, 7], (3, 1)), spread)) == 3
+    assert groups(by_approach(prims=prims, k=k, o=np.tile([0.0, 0, 7], (3, 1)), d=spread)) == 3
 
 
 def test_spheres_in_float32_are_grouped_by_their_centres():
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0], [3, 0, 0]]))
-    assert groups(by_center(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
+    assert groups(by_center(prims=prims, k=np.array([0, 0, 1, 2]))) == 2
     assert KINDS[Spheres].rounding_groups_llvm == (by_center,)
 
 

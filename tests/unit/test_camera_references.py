@@ -159,17 +159,6 @@ def test_a_fault_of_the_ray_is_detected(monkeypatch, fault):
     assert seen(monkeypatch, one_ray(), fault)
 
 
-@every_camera
-def test_a_camera_that_covers_its_film_has_a_ray_through_every_position(camera):
-    rng = np.random.default_rng([9, TYPES.index(camera)])
-    missing = 0
-    for _ in range(20):
-        scene = random_scene(camera, rng)
-        x, y = (side * rng.uniform(-0.1, 1.1, 500) for side in (scene.film.width, scene.film.height))
-        missing += (reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y).t_max < 0.0).sum()
-    assert reference_of_camera(scene.camera).covers_film == (missing == 0)
-
-
 @pytest.mark.parametrize("near", [0.3, 50.0])
 def test_a_sensor_whose_rays_start_aside_is_detected(near):
     """Also where the near plane is farther from the eye than the eye is from the origin."""

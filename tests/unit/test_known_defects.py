@@ -16,7 +16,7 @@ from mitsuba_ref.shapes.linear_curve import view_segment
 
 INSIDE = frozenset({"inside"})
 ORDINARY = DefectFeatures(
-    "Triangles", "Triangles", INSIDE, frozenset(), 4.2, False, 0.7, False, False, 0.3, 5.0, 3.0, 1.0, 1.0, True
+    "Triangles", "Triangles", INSIDE, 4.2, False, 0.7, False, False, 0.3, 5.0, 3.0, 1.0, 1.0, True
 )
 FAR, EDGE_ON, ALONG = (
     2.0 * defect_conditions.FAR_IN_SIZES,

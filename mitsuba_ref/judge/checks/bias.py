@@ -51,7 +51,7 @@ def kind_biases(judge: Judge) -> list[KindBias]:
         prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
         ways = (None if scalar else reference.rounding_groups_llvm) or reference.rounding_groups
-        keys = [way(prims, k[here], bounds.own.n[at], judge.o[at], judge.d[at]) for way in ways]
+        keys = [way(prims=prims, k=k[here], n=bounds.own.n[at], o=judge.o[at], d=judge.d[at]) for way in ways]
         quantity, errors = "t", share[at]
         if reference.position_terms is not None:
             quantity = "position"

@@ -29,7 +29,6 @@ def check_camera(scene: Scene) -> Found:
     sine = np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up)  # rounding of the axes grows by its inverse
     rounding = CAMERA_ROUNDINGS * KU_OURS / float(sine)
     seen = expected.t_max >= 0.0
-    rim = np.zeros(len(x), bool) if reference_of_camera(scene.camera).covers_film else _on_rim(scene, x, y)
     shares = {
         "rays there are": np.where(seen == (ours.t_max >= 0.0), 0.0, np.inf),
         "origin": norm(ours.o - expected.o) / (rounding * size),
@@ -37,11 +36,11 @@ def check_camera(scene: Scene) -> Found:
         "near": _relative(ours.t_min, expected.t_min) / rounding,
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
-    return worst_pixel(shares, scene, (seen | (ours.t_max >= 0.0)) & ~rim)
+    return worst_pixel(shares, scene, (seen | (ours.t_max >= 0.0)) & ~_on_rim(scene, x, y))
 
 
 def _on_rim(scene: Scene, x: Array, y: Array) -> Array:
-    """(n,) bool: pixels so near the edge of the image circle that rounding decides whether they have a ray."""
+    """(n,) bool: pixels so near the edge of an image circle that rounding decides whether they have a ray."""
     film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     inner, outer = (

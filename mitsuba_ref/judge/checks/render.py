@@ -11,8 +11,8 @@ from caster.rendering.hits import RayHits, trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
-from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
-from mitsuba_ref.error_model.intersections import Array, any_of_columns, norm
+from mitsuba_ref.error_model.bracket import Bracket, Claims
+from mitsuba_ref.error_model.intersections import Array, Rays, any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
@@ -89,7 +89,7 @@ def _by_longer_rays(view: RayHits) -> RayHits:
 
 def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     """(m,) bool: at these rows, geometry is in float64's bracket, and diffuse as the lights' definitions give it."""
-    rays = RaySegments(*(each[rows] for each in rays[:4]))
+    rays = Rays(*(each[rows] for each in rays[:4]))
     depth, n, sh_n, p, uv, shape, diffuse, prim, albedo = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
     model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))

@@ -42,9 +42,9 @@ def parallel(make: Maker) -> Iterator[Question]:
         outward = each.n[rows] * integer_shapes.UNIT * make.rng.choice([0.0, 0.0, -0.25, 0.5], (len(rows), 1))
         d = axis * make.rng.choice([-1.0, 1.0, 3.0], (len(rows), 1))
         o = each.p[rows] + outward - 2.0 * d
-        yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=10, never=("hit",))
+        yield make.ask(f"{each.kind}, turned", [each.shape], o, d, never=("hit",))
     o = [[0.5, 0, -1], [1.5, 0, -1], [1.0, 0, -1], [0.0, -1.0, -1]]
-    yield make.ask("upright", [Cylinder()], o, (0.0, 0.0, 1.0), edge_on=2, never=("hit",))
+    yield make.ask("upright", [Cylinder()], o, (0.0, 0.0, 1.0), never=("hit",))
 
 
 def tangent_tubes(make: Maker) -> Iterator[Question]:

@@ -60,14 +60,13 @@ def judged(question: Question) -> Found:
 
 
 def tally(answers: list[ExactAnswer]) -> Counter[str]:
-    """Rays, hits and misses; where on the primitive; ties; what was touched on the way."""
+    """Rays, hits and misses; where on the primitive; ties."""
     met: Counter[str] = Counter()
     for answer in answers:
         met["rays"] += 1
         met["hit" if answer.hit else "miss"] += 1
         met["tie"] += len(answer.ties) > 1
         met.update({hit.where for hit in answer.ties} - {"inside"})
-        met.update(answer.flags - {"tangent"})
     return met
 
 

@@ -73,7 +73,6 @@ def without_area(make: Maker) -> Iterator[Question]:
                 [mesh_of(corners, faces)],
                 o * integer_shapes.UNIT,
                 (near - o) * integer_shapes.UNIT,
-                degenerate=10,
                 never=("hit",),
             )
         w = integer_shapes.whole(make.rng, 2, 3)
@@ -105,9 +104,7 @@ def in_an_axis_line(make: Maker) -> Iterator[Question]:
         aim = make.rounded(corners[0] + make.rng.random((len(o), 1)) * (corners[2] - corners[0]))
         yield make.ask("a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, never=("hit",))
         along = np.column_stack([np.full(20, x), y[0] + make.rng.uniform(1, 9, 20), np.full(20, z)])
-        yield make.ask(
-            "along it", [mesh_of(corners, [[0, 1, 2]])], along, (0.0, -1.0, 0.0), degenerate=18, never=("hit",)
-        )
+        yield make.ask("along it", [mesh_of(corners, [[0, 1, 2]])], along, (0.0, -1.0, 0.0), never=("hit",))
 
 
 def in_the_plane(make: Maker) -> Iterator[Question]:
@@ -118,12 +115,12 @@ def in_the_plane(make: Maker) -> Iterator[Question]:
         d = each.tangent[rows] * integer_shapes.UNIT
         o = each.p[rows] - d * make.rng.integers(0, 3, (len(rows), 1))
         exact = 0 if each.kind in ("disk", "plane") else 12  # a product with 0 is seen to be 0 without integers
-        yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=12, exact=exact, never=("hit",))
+        yield make.ask(f"{each.kind}, turned", [each.shape], o, d, exact=exact, never=("hit",))
         above = each.n[rows] * integer_shapes.UNIT * 2.0**-6 * make.rng.choice([-1.0, 1.0], (len(rows), 1))
         yield make.ask(f"above a {each.kind}", [each.shape], each.p[rows] - d + above, d, never=("hit",))
     cube = integer_shapes.cube(make.rng)
     d = cube.tangent * integer_shapes.UNIT
-    yield make.ask("along a cube's sides", [cube.shape], cube.p - 3.0 * d, d, edge_on=20, exact=20)
+    yield make.ask("along a cube's sides", [cube.shape], cube.p - 3.0 * d, d, exact=20)
 
 
 def nearly_in_the_plane(make: Maker) -> Iterator[Question]:
