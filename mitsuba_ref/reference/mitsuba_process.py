@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE
-from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse
+from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse, start
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
 
@@ -53,8 +53,8 @@ def ask_resident(request: Request, timeout: float) -> Any:
         if process and not process.alive:
             process.close()
             process = None
-        process = process or messages.start(environment)
-        response = request.response(process.ask(request.to_bytes(), timeout))
+        process = process or start(environment)
+        response = messages.message_of(process.ask(request.to_bytes(), timeout))
     except (ProcessEnded, UnexpectedReply, ValueError):
         if process:
             process.close()
@@ -72,7 +72,7 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
     content = store.get(key)
     with contextlib.suppress(ValueError):
         if content is not None:
-            return replace(request.response(content), stored=True, seconds=0.0)
+            return replace(messages.message_of(content), stored=True, seconds=0.0)
     response = send_request(request, timeout)
     if isinstance(response, TraceResponse):
         store.put(key, response.to_bytes())

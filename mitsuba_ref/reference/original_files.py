@@ -20,7 +20,7 @@ from caster.system.process import NOTHING_SELECTED
 from mitsuba_ref.error_model.intersections import Array, ceil_log2
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import as_in_file
-from mitsuba_ref.reference.messages import Coverage, Crash, OpenRequest, OpenResponse, TraceRequest
+from mitsuba_ref.reference.messages import Coverage, Crash, OpenRefusal, OpenRequest, OpenResponse, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
 from mitsuba_ref.reference.store import key_of
@@ -72,10 +72,10 @@ def open_scene(
     found = send_request(request, DEFAULT_TIMEOUT)
     if isinstance(found, Crash):
         raise SceneError(f"{path}: Mitsuba refuses it: {_refusal(found)}")
-    if found.missing:
+    if isinstance(found, OpenRefusal):
+        if found.problem:
+            raise SceneError(f"{path}: {found.problem}")
         raise FileMissing("\n".join([*found.missing, "expected beside the scene, in a <path>, or in a --mesh-dir"]))
-    if found.problem:
-        raise SceneError(f"{path}: {found.problem}")
     digest = key_of([repr(request), *(part for each in found.files for part in (each, Path(each).read_bytes()))])
     return _scene(path, replace(request, digest=digest), found, strict)
 
