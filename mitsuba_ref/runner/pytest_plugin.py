@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -20,33 +20,17 @@ if TYPE_CHECKING:
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
-REPORT = "mitsuba-ref-report"
+REPORT, SCENES = "mitsuba-ref-report", "mitsuba-ref-scenes"  # names of plug-ins
 
 VERDICT = "verdict"  # the name of a scene's test
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
 
-# --mitsuba-ref-NAME and the ini option mitsuba_ref_NAME: help, the option's arguments, the type of the ini option.
-OPTIONS: dict[str, tuple[str, dict[str, Any], Literal["args", "string"]]] = {
-    "size": ("film in pixels, W H, instead of the scenes' own", {"nargs": 2, "metavar": ("W", "H")}, "args"),
-    "candidate": (
-        "another ray caster, judged in place of ours: package.module:function, or a command",
-        {"metavar": "CANDIDATE"},
-        "string",
-    ),
-    "candidate-serve": (
-        "the same as a program that is started once and answers over stdin and stdout",
-        {"metavar": "COMMAND"},
-        "string",
-    ),
-    "candidate-precision": (
-        "its arithmetic, float32 or float64; default: the type of what it returns",
-        {"metavar": "PRECISION"},
-        "string",
-    ),
-    "html": ("write a report for the browser on all judged scenes into this folder", {"metavar": "DIR"}, "string"),
+CANDIDATE_OPTIONS = {
+    "candidate": "another ray caster, judged in place of ours: package.module:function, or a command",
+    "candidate-serve": "the same as a program that is started once and answers over stdin and stdout",
+    "candidate-precision": "its arithmetic, float32 or float64; default: the type of what it returns",
 }
-CANDIDATE_OPTIONS = tuple(name for name in OPTIONS if name.startswith("candidate"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -58,18 +42,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         dest="mitsuba_ref",
         help="collect scene files, .toml and .json: each is a test",
     )
-    for name, (what, option, kind) in OPTIONS.items():
-        group.addoption(f"--mitsuba-ref-{name}", default=None, help=f"{what}; also an ini option", **option)
-        parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, type=kind)
-    folders = "folders beyond a scene's own whose meshes it may use"
-    parser.addini("mitsuba_ref_mesh_dirs", folders, type="paths", default=[])
+    folders = "folder beyond a scene's own whose meshes it may use; may be given several times"
+    group.addoption(f"{OPTION}-mesh-dir", action="append", default=[], metavar="DIR", help=folders)
+    film = "film in pixels, W H, instead of the scenes' own"
+    group.addoption(f"{OPTION}-size", nargs=2, type=int, metavar=("W", "H"), help=film)
+    for name, what in CANDIDATE_OPTIONS.items():
+        group.addoption(f"{OPTION}-{name}", default="", metavar=name.rpartition("-")[2].upper(), help=what)
+    page = "write a report for the browser on all judged scenes into this folder"
+    group.addoption(f"{OPTION}-html", metavar="DIR", help=page)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if folder := given(config, "html"):
+    if folder := config.getoption(f"{OPTION}-html"):
         config.pluginmanager.register(Report(config, config.invocation_params.dir / folder), REPORT)
     if config.getoption("mitsuba_ref"):
-        config.pluginmanager.register(ScenePlugin(config), "mitsuba-ref-scenes")
+        config.pluginmanager.register(ScenePlugin(config), SCENES)
 
 
 @pytest.fixture
@@ -84,7 +71,7 @@ def judge_caster(request: pytest.FixtureRequest) -> Callable[..., Validation]:
         from mitsuba_ref.report.verdict_text import short_text
 
         verdict = mitsuba_ref.validate(scene, candidate=trace, **options)
-        if isinstance(report := request.config.pluginmanager.get_plugin(REPORT), Report):
+        if report := request.config.pluginmanager.get_plugin(REPORT):
             for found in verdict.scenes:
                 report.add(found, f"{request.node.name} {found.name}")
         if not verdict.ok:
@@ -106,7 +93,7 @@ class Report:
         try:
             self.written = HtmlReport(folder, 0)
         except OutputError as error:
-            raise pytest.UsageError(f"mitsuba_ref_html: {error}") from None
+            raise pytest.UsageError(f"{OPTION}-html: {error}") from None
 
     def add(self, verdict: SceneVerdict, name: str) -> None:
         """Add a scene with its evidence. name: distinct in the session."""
@@ -138,20 +125,20 @@ class ScenePlugin:
         config.addinivalue_line("markers", "mitsuba_ref: a scene, by --mitsuba-ref")
         self.config = config
         self.start = config.invocation_params.dir
-        self.size = film_size(given(config, "size"))
-        self.words = {name: given(config, name) or "" for name in CANDIDATE_OPTIONS}
+        size = config.getoption(f"{OPTION}-size")
+        self.size = size and (size[0], size[1])
+        self.words: dict[str, str] = {name: config.getoption(f"{OPTION}-{name}") for name in CANDIDATE_OPTIONS}
         if self.words["candidate"] and self.words["candidate-serve"]:
-            raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
+            raise pytest.UsageError(f"{OPTION}-candidate: not together with {OPTION}-candidate-serve")
         self.candidate = self.words["candidate"] or self.words["candidate-serve"]
         if self.words["candidate-precision"] and not self.candidate:
-            raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
-        self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
+            raise pytest.UsageError(f"{OPTION}-candidate-precision: expected {OPTION}-candidate beside it")
+        self.mesh_dirs = tuple(config.getoption(f"{OPTION}-mesh-dir"))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
         if file_path.suffix.lower() in SUFFIXES and (file_path.resolve() in self.named or is_scene(file_path)):
             collector: SceneFile = SceneFile.from_parent(parent, path=file_path)
-            collector.plugin = self
             return collector
         return None
 
@@ -172,15 +159,14 @@ class ScenePlugin:
         words = tuple(word for name, value in options if value for word in (f"--{name}", value))
         entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
         report = self.config.pluginmanager.get_plugin(REPORT)
-        page_of = page_record if isinstance(report, Report) else None
         try:
             failing = self.failing_run_checks
-            judge = many_scenes.JudgeOptions(subject=self.subject, page_of=page_of)
+            judge = many_scenes.JudgeOptions(subject=self.subject, page_of=page_record if report else None)
         except SceneError as error:
             return str(error)
         with many_scenes.engine_for([entry], judge, workers=1) as engine:
             (verdict,) = many_scenes.run([entry], judge, engine)
-        if isinstance(report, Report):
+        if report:
             report.add(verdict, named)
         return "\n".join([*([] if verdict.ok else [failure_text(verdict)]), *failing])
 
@@ -202,23 +188,6 @@ class ScenePlugin:
         return [f"FAIL  {check.name}: {check.what}" for check in run_checks(self.subject) if not check.ok]
 
 
-def given(config: pytest.Config, name: str) -> Any:
-    """The value of one of OPTIONS, from the command line or else from the ini file."""
-    underscored = f"mitsuba_ref_{name.replace('-', '_')}"
-    return config.getoption(underscored) or config.getini(underscored)
-
-
-def film_size(words: list[str]) -> tuple[int, int] | None:
-    """Width and height; None without words. Raises pytest.UsageError."""
-    if not words:
-        return None
-    try:
-        width, height = map(int, words)
-    except ValueError:
-        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers, W H, got {' '.join(words)}") from None
-    return width, height
-
-
 def is_scene(path: Path) -> bool:
     """Whether a file looks like a scene: pyproject.toml and package.json may lie in the same folder."""
     try:
@@ -231,22 +200,18 @@ def is_scene(path: Path) -> bool:
 class SceneFile(pytest.File):
     """The file of a scene."""
 
-    plugin: ScenePlugin  # that collected it
-
     def collect(self) -> Iterator[SceneTest]:
-        yield SceneTest.from_parent(self, name=VERDICT, plugin=self.plugin)
+        test: SceneTest = SceneTest.from_parent(self, name=VERDICT)
+        test.add_marker("mitsuba_ref")
+        yield test
 
 
 class SceneTest(pytest.Item):
     """The test of one scene."""
 
-    def __init__(self, plugin: ScenePlugin, **about: Any) -> None:
-        super().__init__(**about)
-        self.plugin = plugin
-        self.add_marker("mitsuba_ref")
-
     def runtest(self) -> None:
-        if problem := self.plugin.problem_of(self.path):
+        plugin: Any = self.config.pluginmanager.get_plugin(SCENES)
+        if problem := plugin.problem_of(self.path):
             from caster.system.terminal import printable
 
             pytest.fail(printable(problem), pytrace=False)

@@ -96,7 +96,7 @@ def test_each_scene_is_a_test(folder):
 
 
 def test_a_scene_that_fails_is_shown_with_its_replay(folder):
-    folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
+    folder.makeini("[pytest]\naddopts = --mitsuba-ref-size 20 16\n")
     found = run(folder, "--mitsuba-ref", "scenes")
     found.assert_outcomes(passed=1, failed=1)
     text = found.stdout.str()
@@ -139,14 +139,13 @@ def test_a_scene_file_that_is_not_valid_is_reported_with_its_place(folder, crash
     assert not crashing()
 
 
-def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
+def test_meshes_may_lie_in_folders_of_their_own(folder, crashing):
     folder.mkdir("meshes").joinpath("tile.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     mesh = SCENE.format(more="").replace('"sphere"', '"mesh"').replace("radius = 1.3", 'file = "../meshes/tile.obj"')
     Path("scenes/mesh.toml").write_text(mesh)
     refused = run(folder, "--mitsuba-ref", "scenes/mesh.toml")
     assert "--mesh-dir" in refused.stdout.str() and not crashing()
-    folder.makeini("[pytest]\nmitsuba_ref_mesh_dirs = meshes\n")
-    run(folder, "--mitsuba-ref", "scenes/mesh.toml").assert_outcomes(failed=1)
+    run(folder, "--mitsuba-ref", "scenes/mesh.toml", "--mitsuba-ref-mesh-dir", "meshes").assert_outcomes(failed=1)
     assert len(crashing()) == 1  # the scene was loaded, and Mitsuba asked
 
 
@@ -241,7 +240,7 @@ def test_a_candidate_that_declines_or_is_not_there_fails(folder):
 def test_options_of_a_candidate_that_contradict_each_other_are_refused(folder):
     words = ("--mitsuba-ref", "scenes")
     found = run(folder, *words, "--mitsuba-ref-candidate-precision", "float32")
-    assert "expected mitsuba_ref_candidate beside it" in found.stderr.str() + found.stdout.str()
+    assert "expected --mitsuba-ref-candidate beside it" in found.stderr.str() + found.stdout.str()
     found = run(folder, *words, "--mitsuba-ref-candidate", "a:b", "--mitsuba-ref-candidate-serve", "c")
     assert "not together with" in found.stderr.str() + found.stdout.str()
 
@@ -283,5 +282,5 @@ def test_the_test_of_the_documentation_passes_as_written(folder):
 def test_the_page_of_another_program_is_not_replaced(folder):
     folder.mkdir("page").joinpath("index.html").write_text("<title>mine</title>")
     found = run(folder, "--mitsuba-ref", "scenes", "--mitsuba-ref-html", "page")
-    assert "mitsuba_ref_html: " in found.stderr.str() and "Traceback" not in found.stderr.str()
+    assert "--mitsuba-ref-html: " in found.stderr.str() and "Traceback" not in found.stderr.str()
     assert Path("page/index.html").read_text() == "<title>mine</title>"
