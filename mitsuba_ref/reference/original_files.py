@@ -20,9 +20,11 @@ from caster.system.process import NOTHING_SELECTED
 from mitsuba_ref.error_model.intersections import Array, ceil_log2
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import as_in_file
-from mitsuba_ref.reference.messages import Coverage, Crash, OpenRefusal, OpenRequest, OpenResponse, TraceRequest
+from mitsuba_ref.reference.messages import Coverage, Crash, OpenRefusal, OpenRequest, OpenResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
+from mitsuba_ref.reference.rendering import trace_reference
+from mitsuba_ref.reference.shared_input import model_of, packed_float32, shared_rays
 from mitsuba_ref.reference.store import key_of
 
 SUFFIX = ".xml"
@@ -132,11 +134,8 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         raise NothingToJudgeError(f"{path}: {there}{reasons}")
     shapes, keys, conditions = zip(*judged, strict=True)
     unlit = [*found.unlit, *without_uv] or ([] if found.lights else ["the file has no light"])
-    hidden = 0
     if left_out:
         unlit.append(f"the shadows of the {len(left_out)} shapes that are left out are missing")
-        hides = _hits_others(request, found, keys)
-        found.rays[hides, 6], hidden = -1.0, int(hides.sum())  # no ray, on either side
     x0, y0, x1, y1 = found.crop
     whole = (x0, y0, x1, y1) == (0, 0, *found.size)
     film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
@@ -153,26 +152,21 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         start = row_lengths(found.rays[:, :3].astype(float) - np.array(scene.camera.eye))
     elif camera:
         start += camera["near"]
-    scene._original = Original(
-        request,
-        found,
-        film,
-        start,
-        keys,
-        np.array(conditions),
-        has_camera=camera is not None,
-        exact_camera=exact,
-        coverage=Coverage(
-            len(found.placed),
-            len(shapes),
-            tuple(left_out),
-            hidden,
-            tuple(unlit),
-            dict(found.dropped),
-            (note,) if note else (),
-            strict,
-        ),
+    coverage = Coverage(
+        len(found.placed),
+        len(shapes),
+        tuple(left_out),
+        unlit=tuple(unlit),
+        dropped=dict(found.dropped),
+        notes=(note,) if note else (),
+        strict=strict,
     )
+    has_camera = camera is not None
+    scene._original = Original(request, found, film, start, keys, np.array(conditions), has_camera, exact, coverage)
+    if left_out:
+        hides = _hits_others(scene)
+        found.rays[hides, 6] = -1.0  # no ray, on either side
+        scene._original = replace(scene._original, coverage=replace(coverage, hidden=int(hides.sum())))
     return scene
 
 
@@ -187,16 +181,14 @@ def _with_texels(material: Mapping[str, Any], found: OpenResponse) -> Mapping[st
     return {**material, "reflectance": rest | {"data": data}}
 
 
-def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str]) -> Array:
-    """(n,) bool: rays that hit a shape in Mitsuba which is not among the keys, those of judged shapes."""
-    o, d, t_max = (np.ascontiguousarray(found.rays[:, columns]) for columns in (slice(0, 3), slice(3, 6), 6))
-    trace = TraceRequest(Path(request.file), found.variant, o, d, t_max)
-    answer = send_stored(replace(trace, lights=False, strict=False, original=vars(request)), DEFAULT_TIMEOUT)
-    if isinstance(answer, Crash):
-        raise SceneError(f"{request.file}: {answer.message}")
-    judged = np.array([*(name in keys for name in answer.names), True])
-    others: Array = ~judged[answer.shape]
-    return others
+def _hits_others(scene: MitsubaScene) -> Array:
+    """(n,) bool: rays that hit a shape in Mitsuba which is not judged."""
+    rays = shared_rays(scene)
+    model = model_of(scene, packed_float32(scene), rays)
+    found = trace_reference(scene, model, rays, lights=False, send=send_stored)
+    if isinstance(found, Crash):
+        raise SceneError(found.message)
+    return found.hit & (found.shape_id < 0)
 
 
 def _across(d: Sequence[float]) -> Sequence[float]:

@@ -89,22 +89,23 @@ def checked_rays(rows: Array, where: str, width: int = 0) -> RayList:
     if not len(rows):
         raise SceneError(f"{where}: expected at least one ray, got none")
     rows = np.ascontiguousarray(rows.astype(native, copy=False))
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         line, limits = rows[:, :6].astype(np.float32), rows[:, 6:]
-    for bad, expected in (
-        (~np.isfinite(rows[:, :6]).all(axis=1), "finite numbers in o and d"),
-        (~np.isfinite(line).all(axis=1), "o and d within float32, in which Mitsuba traces"),
-        (~line[:, 3:].any(axis=1), "a direction that is not zero, also as float32"),
-        (~((limits[:, 0] >= 0.0) & np.isfinite(limits[:, 0])), "a finite t_min >= 0"),
-        (~(limits[:, 1] >= limits[:, 0]), "t_max >= t_min; inf for a ray without end"),
+        start = line[:, :3].astype(np.float64) + limits[:, :1].astype(np.float64) * line[:, 3:]
+    for good, expected in (
+        (np.isfinite(rows[:, :6]).all(axis=1), "finite numbers in o and d"),
+        (np.isfinite(line).all(axis=1), "o and d within float32, in which Mitsuba traces"),
+        (line[:, 3:].any(axis=1), "a direction that is not zero, also as float32"),
+        ((limits[:, 0] >= 0.0) & np.isfinite(limits[:, 0]), "a finite t_min >= 0"),
+        (limits[:, 1] >= limits[:, 0], "t_max >= t_min; inf for a ray without end"),
+        (
+            (np.abs(start) <= np.finfo(np.float32).max).all(axis=1),
+            "a start o + t_min d not beyond float32, in which Mitsuba traces",
+        ),
     ):
-        if bad.any():
-            i = int(np.argmax(bad))
+        if not good.all():
+            i = int(np.argmin(good))
             raise SceneError(f"{where}: rays[{i}]: expected {expected}, got {rows[i].tolist()}")
-    shifted = line[:, :3].astype(np.float64) + limits[:, :1].astype(np.float64) * line[:, 3:]
-    if not (ok := (np.abs(shifted) <= np.finfo(np.float32).max).all(axis=1)).all():
-        i = int(np.argmin(ok))
-        raise SceneError(f"{where}: rays[{i}]: its start o + t_min d lies beyond float32, in which Mitsuba traces")
     return RayList(rows, width if 0 < width <= MAX_FILM_SIDE else 0)
 
 
