@@ -77,9 +77,8 @@ def parse(request: OpenRequest, variant: str) -> Parsed:
         raise RuntimeError(f"Mitsuba {mi.__version__} has no mi.parser: Mitsuba files need 3.7 or later")
     resolver = mi.FileResolver()  # of this file alone: <path> adds folders to it
     resolver.clear()
-    for folder in (*request.folders, PLUGIN_FOLDER):
+    for folder in (os.path.dirname(request.file), *request.folders, PLUGIN_FOLDER):
         resolver.append(folder)
-    resolver.prepend(os.path.dirname(request.file))
     mi.set_file_resolver(resolver)
     config = mi.parser.ParserConfig(variant)
     config.merge_meshes = config.merge_equivalent = False  # would lose ids

@@ -186,8 +186,7 @@ class TraceResponse(Message):
         """The mesh files of the request."""
         ends = np.cumsum(self.mesh_faces, dtype=int)
         corners, vertices = (
-            np.split(each, ends[:-1]) if len(ends) else []
-            for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
+            np.split(each, ends)[:-1] for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
         )
         rows = zip(corners, vertices, self.mesh_problems, strict=True)
         return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
@@ -221,13 +220,10 @@ class Crash(ProcessEnd):
         return f"Mitsuba ended without an answer ({self.exit}): {self.output}".strip()
 
 
-CHILD_MODULE = "mitsuba_ref.reference.mitsuba_process"
-
-
 def start(environment: Mapping[str, str]) -> ResidentProcess:
     """Start a process that answers requests. Raises ProcessEnded while starts are refused."""
     path = {"PYTHONPATH": user_import_path()}
-    return ResidentProcess(child_command(CHILD_MODULE), {**environment, **path}, cwd=tempfile.gettempdir())
+    return ResidentProcess(child_command(), {**environment, **path}, cwd=tempfile.gettempdir())
 
 
 def run_request(request: Message, timeout: float, environment: Mapping[str, str]) -> Any:

@@ -161,8 +161,7 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         notes=(note,) if note else (),
         strict=strict,
     )
-    has_camera = camera is not None
-    scene._original = Original(request, found, film, start, keys, np.array(conditions), has_camera, exact, coverage)
+    scene._original = Original(request, found, film, start, keys, np.array(conditions), exact, coverage)
     if left_out:
         hides = _hits_others(scene)
         found.rays[hides, 6] = -1.0  # no ray, on either side
@@ -332,7 +331,7 @@ def import_xml(
     opened = open_scene(path, Opening(parameters, sensor), size=size, mesh_dirs=mesh_dirs)
     original = original_of(opened)
     assert original is not None
-    if not original.has_camera:
+    if camera_of(original.opened.camera)[0] is None:
         raise SceneError(f"{path}: {original.coverage.notes[0]}; a scene of its own needs perspective or orthographic")
     fields = {name: getattr(opened, name) for name in ("film", "camera", "lights", "materials", "shapes")}
     return ImportedScene(Scene(**fields), tuple(original.coverage.lines()))

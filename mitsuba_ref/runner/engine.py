@@ -16,7 +16,7 @@ from caster.rendering.threads import core_count
 from caster.system import process
 from caster.system.cluster import Cluster, Outcome
 from mitsuba_ref.reference import subprocess_runner
-from mitsuba_ref.reference.store import PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
+from mitsuba_ref.reference.store import LIBRARIES, PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
 from mitsuba_ref.runner.verdict_files import OUR_SETTINGS, code_hash
 from mitsuba_ref.runner.workers import Workers
 
@@ -105,7 +105,7 @@ def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True
 
 
 SOURCES, SETTINGS = "source code", "environment"
-SAME_EVERYWHERE = (SOURCES, SETTINGS, "python", "mitsuba", "drjit", "numpy", "numba", "llvmlite", "OpenEXR", "pydantic")
+SAME_EVERYWHERE = (SOURCES, SETTINGS, "python", *LIBRARIES)
 
 
 def worker_identity() -> Mapping[str, str]:

@@ -126,9 +126,8 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
     rows[:count] = rays.rows
     camera = Ray(origin=tuple(rows[0, :3].tolist()), direction=tuple(rows[0, 3:6].tolist()))
     film = Film(width=width, height=height)
-    shared = SharedRays(
-        rows[:, :3].copy(), rows[:, 3:6].copy(), rows[:, 7].copy(), np.zeros(len(rows)), rows[:, 6].copy()
-    )
+    o, d, t_min, t_max = (np.ascontiguousarray(columns) for columns in np.split(rows, [3, 6, 7], axis=1))
+    shared = SharedRays(o, d, t_max.ravel(), np.zeros(len(rows)), t_min.ravel())
     return scene.model_copy(update={"film": film, "camera": camera}), shared
 
 
@@ -175,8 +174,8 @@ def answer_of_hits(
     numbers = {name: checked_array(name, arrays[name], shape, -1, whole=True) for name in names if name in arrays}
     if any_hit:
         blocked = numbers["any_hit"]
-        if not np.isin(blocked, (0, 1)).all():
-            i = int(np.argmin(np.isin(blocked, (0, 1))))
+        if (unknown := ~np.isin(blocked, (0, 1))).any():
+            i = int(np.argmax(unknown))
             raise NoAnswer(f"any_hit[{i}]: expected 0 or 1, got {blocked[i]}")
         t = np.where(blocked == 1, 0.0, np.inf)
         return checked_answer(t, None, there, precision=precision or "float64", hits_only=True)
