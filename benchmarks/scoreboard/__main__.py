@@ -15,6 +15,7 @@ from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.bench.machine import machine_properties
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded
+from mitsuba_ref.subjects.command import served
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Answer, NoAnswer
 
@@ -27,12 +28,12 @@ OURS = "ours"
 
 def subject_of(entry: Entry, build: Path) -> judging.ServedCommand:
     """The program that serves a caster. Raises NotInstalledError."""
-    served = parse_candidate(roster.command(entry, build), entry.precision, judging.SECONDS, served=True)
-    return replace(served, takes_limits=entry.limits)
+    found = parse_candidate(roster.command(entry, build), entry.precision, judging.SECONDS, served=True)
+    return replace(found, takes_limits=entry.limits)
 
 
 def closed(subject: judging.ServedCommand) -> None:
-    for process in subject.running:
+    if process := served.pop(subject.words, None):
         process.close()
 
 

@@ -7,11 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
-from caster.description.errors import DataPath, Diagnostic, FileMissing, SceneError, error_prefix
+from pydantic import BaseModel, ValidationError
 
-__all__ = ["Positions", "Span", "format_excerpt", "list_errors", "located_error", "parse"]
+from caster.description.errors import DataPath, Diagnostic, FileMissing, SceneError, diagnostics_of, error_prefix
 
-Error = TypeVar("Error")
+__all__ = ["Positions", "Span", "format_excerpt", "located_error", "model_of_text", "parse"]
+
+M = TypeVar("M", bound=BaseModel)
 
 
 class Span(NamedTuple):
@@ -163,16 +165,27 @@ def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return table
 
 
+def model_of_text(model: type[M], text: str, kind: str, origin: str, context: Any = None) -> M:
+    """The model that a TOML or JSON text describes. Raises SceneError with every error and its line."""
+    try:
+        data = parse(text, kind, origin)
+        return model.model_validate(data, context=context)
+    except ValidationError as error:
+        raise located_error(diagnostics_of(error, data, model), Positions(text, kind).of, text, origin) from None
+    except RecursionError:
+        raise SceneError(f"{origin}: nested too deeply to be read") from None
+
+
 def located_error(
     problems: Sequence[Diagnostic], place: Callable[[DataPath], Span], text: str, origin: str
 ) -> SceneError:
-    """All diagnostics ordered by position, each with an excerpt of its line; FileMissing if nothing else is wrong."""
+    """The first diagnostics, each with its line, and how many more; FileMissing if nothing else is wrong."""
     located = sorted((place(each.path), each.text) for each in problems)
     kind = FileMissing if all(each.missing for each in problems) else SceneError
     return kind(list_errors(located, lambda found: format_excerpt(*found, text, origin), origin))
 
 
-def list_errors(errors: Sequence[Error], format_error: Callable[[Error], str], origin: str) -> str:
+def list_errors(errors: Sequence[Any], format_error: Callable[[Any], str], origin: str) -> str:
     """The first errors, or notes, each on its lines, and how many more there are."""
     listed = [format_error(error) for error in errors[:MAX_ERRORS_LISTED]]
     if len(errors) > len(listed):

@@ -4,13 +4,13 @@ import os
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from caster.cli.shared_arguments import scene_files
-from caster.description.errors import FileMissing, SceneError, diagnostics_of, field_error, suggestion
+from caster.description.errors import FileMissing, SceneError, field_error, suggestion
 from caster.description.fields import Count, Description, Index, Positive
 from caster.description.input_files import read_text
-from caster.description.parsing import Positions, located_error, parse
+from caster.description.parsing import model_of_text
 from caster.scene.model import Pixels
 from mitsuba_ref.fuzz.fuzz_run import RAYS_PER_EXAMPLE
 from mitsuba_ref.hard import BY_NAME, FAMILIES
@@ -164,11 +164,4 @@ def read_campaign(path: str) -> tuple[Campaign, str]:
     if kind not in ("toml", "json"):
         raise SceneError(f"{path}: expected a campaign file, .toml or .json")
     text = read_text(path, "campaign file")
-    try:
-        data = parse(text, kind, path)
-        return Campaign.model_validate(data, context=Path(path).parent), text
-    except ValidationError as error:
-        problems = diagnostics_of(error, data, Campaign)
-        raise located_error(problems, Positions(text, kind).of, text, path) from None
-    except RecursionError:
-        raise SceneError(f"{path}: not a campaign file: nested too deeply to be read") from None
+    return model_of_text(Campaign, text, kind, path, Path(path).parent), text

@@ -14,7 +14,7 @@ import mitsuba
 import numpy as np
 
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.reference.messages import OpenRequest, OpenResponse
+from mitsuba_ref.reference.messages import OpenRefusal, OpenRequest, OpenResponse
 
 mi: Any = mitsuba
 PLUGIN_FOLDER = str(list(mi.file_resolver())[-1]) if hasattr(mi, "file_resolver") else ""  # of 3.7 and later
@@ -78,9 +78,8 @@ def parse(request: OpenRequest, variant: str) -> Parsed:
         raise RuntimeError(f"Mitsuba {mi.__version__} has no mi.parser: Mitsuba files need 3.7 or later")
     resolver = mi.FileResolver()  # of this file alone: <path> adds folders to it
     resolver.clear()
-    for folder in (*request.folders, PLUGIN_FOLDER):
+    for folder in (os.path.dirname(request.file), *request.folders, PLUGIN_FOLDER):
         resolver.append(folder)
-    resolver.prepend(os.path.dirname(request.file))
     mi.set_file_resolver(resolver)
     config = mi.parser.ParserConfig(variant)
     config.merge_meshes = config.merge_equivalent = False  # would lose ids
@@ -265,11 +264,11 @@ def load(request: OpenRequest, variant: str) -> Any:
     return parsed.instantiate()
 
 
-def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
+def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse | OpenRefusal:
     """Geometry, sensor and lights of a file. Raises RuntimeError with Mitsuba's message where it refuses the file."""
     parsed, kind = parse(request, "scalar_rgb"), mi.ObjectType
     if missing := list(_missing_files(parsed)):
-        return OpenResponse(missing=missing)
+        return OpenRefusal(missing=missing)
     variant = "scalar_rgb"
     if {props.plugin_name() for _, props in parsed.nodes(kind.Shape)} <= MESHES:
         variant = request.variant
@@ -277,7 +276,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
     scene = parsed.instantiate()
     sensors = scene.sensors()
     if request.sensor >= max(1, len(sensors)):
-        return OpenResponse(problem=f"sensor {request.sensor}: the file has {len(sensors)}, counted from 0")
+        return OpenRefusal(problem=f"sensor {request.sensor}: the file has {len(sensors)}, counted from 0")
     sensor = sensors[request.sensor] if sensors else _view_of_all(scene, request.size)
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
     shapes: list[dict[str, Any]] = []

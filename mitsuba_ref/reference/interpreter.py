@@ -49,15 +49,15 @@ print("DESCRIPTION" + json.dumps(found))
 """
 
 # Our packages come from their own folder, which may be the site-packages of another interpreter.
-RUN_MODULE = """
+RUN_CHILD = """
 import importlib.util, runpy, sys
-root, module = sys.argv[1:]
+(root,) = sys.argv[1:]
 for name in ("caster", "mitsuba_ref"):
     folder = root + "/" + name
     spec = importlib.util.spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
     sys.modules[name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules[name])
-runpy.run_module(module, run_name="__main__")
+runpy.run_module("mitsuba_ref.reference.mitsuba_process", run_name="__main__")
 """
 
 
@@ -90,9 +90,9 @@ def chosen(python: str) -> Iterator[None]:
             os.environ[PYTHON_VARIABLE] = before
 
 
-def child_command(module: str) -> list[str]:
-    """The command that runs one of our modules in that interpreter, without the current folder on its path."""
-    return [interpreter(), "-P", "-c", RUN_MODULE, str(PACKAGE_PARENT), module]
+def child_command() -> list[str]:
+    """The command that runs mitsuba_process.py in that interpreter, without the current folder on its path."""
+    return [interpreter(), "-P", "-c", RUN_CHILD, str(PACKAGE_PARENT)]
 
 
 def installation() -> Installation:

@@ -8,7 +8,7 @@ import json
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,29 +28,14 @@ from mitsuba_ref.reference.subprocess_runner import (
 MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile)
 
 
-def array(*shape: int | str, dtype: type = np.float32, optional: bool = False) -> Any:
-    """A field of a message that is an array; a size with a name is the same in all arrays of the message.
-
-    optional: empty if it is not given.
-    """
-    empty = [0 if isinstance(size, str) else size for size in shape]
-    default: dict[str, Any] = {"default_factory": lambda: np.zeros(empty, dtype)} if optional else {}
-    return field(metadata={"array": (shape, dtype)}, **default)
-
-
 class Message:
     """A record that is sent, with its arrays."""
 
-    @classmethod
-    def arrays(cls) -> dict[str, tuple[tuple[int | str, ...], type]]:
-        """Shape and type of each array by its name."""
-        return {each.name: each.metadata["array"] for each in fields(cls) if each.metadata}  # type: ignore[arg-type]
-
     def to_bytes(self) -> bytes:
         """The fields, equal for equal ones. Paths become text."""
-        rest: dict[str, Any] = {"kind": type(self).__name__} | vars(self)
-        arrays = {name: rest.pop(name) for name in self.arrays()}
-        record = np.frombuffer(json.dumps(rest, default=str).encode(), np.uint8)
+        arrays = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        rest = {name: value for name, value in vars(self).items() if name not in arrays}
+        record = np.frombuffer(json.dumps({"kind": type(self).__name__} | rest, default=str).encode(), np.uint8)
         file = io.BytesIO()
         np.savez(file, allow_pickle=False, record=record, **arrays)
         return file.getvalue()
@@ -81,31 +66,32 @@ class OpenRequest(Message):
     variant: str = "scalar_rgb"  # for scenes of triangles; others are opened in scalar_rgb
     digest: str = ""  # of the contents of all its files, where these are known
 
-    def response(self, content: bytes) -> "OpenResponse":
-        """The response in a reply. Raises ValueError where it is cut short or malformed."""
-        response: OpenResponse = message_of(content)
-        return response
-
 
 @dataclass(frozen=True, eq=False)
 class OpenResponse(Message):
     """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
 
-    numbers: Array = array("numbers", optional=True)  # rows of all shapes (reference/file_calls.py:_shape)
-    faces: Array = array("faces", 3, dtype=np.int32, optional=True)
-    texels: Array = array("texels", 3, optional=True)  # of all bitmaps, row by row
-    rays: Array = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
-    shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
-    placed: Sequence[Any] = ()  # Placements of reference/file_calls.py
-    size: Sequence[int] = (1, 1)  # of the film
-    crop: Sequence[int] = (0, 0, 1, 1)
-    camera: Mapping[str, Any] = field(default_factory=dict)  # the sensor's plugin and numbers
-    lights: Sequence[dict[str, Any]] = ()
-    unlit: Sequence[str] = ()  # lights and materials that the caster has not
-    dropped: Mapping[str, int] = field(default_factory=dict)  # left out before loading, with counts
-    files: Sequence[str] = ()  # that the answer depends on
-    variant: str = ""
-    robust: bool = True  # Embree's mode, as requested or as the file says
+    numbers: Array  # float32, rows of all shapes (reference/file_calls.py:_shape)
+    faces: Array  # (n, 3) int32
+    texels: Array  # (n, 3) float32, of all bitmaps, row by row
+    rays: Array  # (pixels, 7) float32: o, d, t_max through the crop's pixel centres, row by row
+    shapes: Sequence[dict[str, Any]]  # reference/file_calls.py:_shape
+    placed: Sequence[Any]  # Placements of reference/file_calls.py
+    size: Sequence[int]  # of the film
+    crop: Sequence[int]
+    camera: Mapping[str, Any]  # the sensor's plugin and numbers
+    lights: Sequence[dict[str, Any]]
+    unlit: Sequence[str]  # lights and materials that the caster has not
+    dropped: Mapping[str, int]  # left out before loading, with counts
+    files: Sequence[str]  # that the answer depends on
+    variant: str
+    robust: bool  # Embree's mode, as requested or as the file says
+
+
+@dataclass(frozen=True)
+class OpenRefusal(Message):
+    """Why a file was not opened, in place of an OpenResponse."""
+
     missing: Sequence[str] = ()  # files that cannot be read
     problem: str = ""
 
@@ -152,21 +138,15 @@ class TraceRequest(Message):
 
     xml: Path  # absolute, as mesh_files: the child runs in another folder
     variant: str  # scalar_rgb or llvm_ad_rgb
-    o: Array = array("rays", 3)
-    d: Array = array("rays", 3)
-    t_max: Array = array("rays")  # lengths of d; inf is no limit
+    o: Array  # (n, 3) float32
+    d: Array  # (n, 3) float32
+    t_max: Array  # (n,) float32, lengths of d; inf is no limit
     lights: bool = True  # whether to compute light_rgb, light_visible and albedo
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
     mesh_files: Sequence[Path] = ()  # to be read by Mitsuba's own loader as well
     original: Mapping[str, Any] | None = None  # of an OpenRequest: `xml` is a user's file, to be loaded as it says
-    leaving: Array = array("origins", 3, optional=True)  # direction of a ray from each hit, for spawn_ray
-
-    def response(self, content: bytes) -> "TraceResponse":
-        """The response in a reply. Raises ValueError where it is cut short or malformed."""
-        response: TraceResponse = message_of(content)
-        response.check(len(self.o))
-        return response
+    leaving: Array | None = None  # (n, 3) float32, direction of a ray from each hit, for spawn_ray
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,53 +156,40 @@ class TraceResponse(Message):
     names: list[str]  # ids of the shapes, as in the XML
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm, processor
     seconds: float  # loading and tracing, without starting Python
-    t: Array = array("rays")  # lengths of d
-    n: Array = array("rays", 3)  # geometric normal
-    sh_n: Array = array("rays", 3)  # shading normal
-    p: Array = array("rays", 3)
-    uv: Array = array("rays", 2)
-    prim_uv: Array = array("rays", 2)  # where on a triangle: barycentrics b1, b2, of which p is made
-    shape: Array = array("rays", dtype=np.int32)  # index into names; of the instance where one was hit
-    prim: Array = array("rays", dtype=np.int32)
-    light_rgb: Array = array("lights", "rays", 3)  # radiance reflected from each light, unshadowed
-    light_visible: Array = array("lights", "rays", dtype=np.bool_)  # Mitsuba's shadow test
-    albedo: Array = array("rays", 3)
+    t: Array  # (n,) float32, lengths of d
+    n: Array  # (n, 3) float32, geometric normal
+    sh_n: Array  # (n, 3) float32, shading normal
+    p: Array  # (n, 3) float32
+    uv: Array  # (n, 2) float32
+    prim_uv: Array  # (n, 2) float32, where on a triangle: barycentrics b1, b2, of which p is made
+    shape: Array  # (n,) int32, index into names; of the instance where one was hit
+    prim: Array  # (n,) int32
+    light_rgb: Array  # (lights, n, 3) float32, radiance reflected from each light, unshadowed
+    light_visible: Array  # (lights, n) bool, Mitsuba's shadow test
+    albedo: Array  # (n, 3) float32
+    sensor: Array  # (pixels, 7) float32: o, d, t_max through the crop's pixel centres, row by row; none, if not wanted
+    origin: Array  # (n, 3) float32, of the ray that leaves each hit, by spawn_ray; none, if not wanted
+    mesh_corners: Array  # (faces, 3, 8) float32: position, normal, uv at corners of mesh files
+    mesh_vertices: Array  # (faces, 3) int32, their indices
+    mesh_faces: Sequence[int]  # face count of each file
+    mesh_problems: Sequence[str]  # for each file, why Mitsuba's loader refused it; "" if it did not
     stored: bool = False  # the stored response to an equal request; no Mitsuba ran, and `seconds` is 0
-    sensor: Array = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
-    mesh_corners: Array = array("faces", 3, 8, optional=True)  # position, normal, uv at corners of mesh files
-    mesh_vertices: Array = array("faces", 3, dtype=np.int32, optional=True)  # their indices
-    origin: Array = array("origins", 3, optional=True)  # of the ray that leaves each hit, by spawn_ray
-    mesh_faces: Sequence[int] = ()  # face count of each file
-    mesh_problems: Sequence[str] = ()  # for each file, why Mitsuba's loader refused it; "" if it did not
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a hit has no shape, or a miss has one."""
+        known = (self.shape >= 0) & (self.shape < len(self.names))
+        if np.any(known != (self.t != np.inf)):
+            raise ValueError("shape: expected one of the named where t is not inf and -1 elsewhere, got others")
 
     @property
     def meshes(self) -> tuple["LoadedMesh", ...]:
         """The mesh files of the request."""
         ends = np.cumsum(self.mesh_faces, dtype=int)
         corners, vertices = (
-            np.split(each, ends[:-1]) if len(ends) else []
-            for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
+            np.split(each, ends)[:-1] for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
         )
         rows = zip(corners, vertices, self.mesh_problems, strict=True)
         return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
-
-    def check(self, rays: int) -> None:
-        """Raise ValueError unless every array has its length, type and range."""
-        sizes: dict[int | str, int] = {"rays": rays, "faces": sum(self.mesh_faces)}
-        if len(self.mesh_problems) != len(self.mesh_faces) or len(self.origin) not in (0, rays):
-            raise ValueError(f"expected a problem for each mesh file and 0 or {rays} origins, got others")
-        for name, (shape, dtype) in self.arrays().items():
-            found = getattr(self, name)
-            if found.ndim == len(shape):
-                named = zip(shape, found.shape, strict=True)
-                sizes = {**{size: count for size, count in named if isinstance(size, str)}, **sizes}
-            expected = tuple(sizes.get(size, size) for size in shape)
-            if found.shape != expected or found.dtype != dtype:
-                got = f"{found.dtype}{list(found.shape)}"
-                raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(expected)}, got {got}")
-        known = (self.shape >= 0) & (self.shape < len(self.names))
-        if np.any(known != (self.t != np.inf)):
-            raise ValueError("shape: expected one of the named where t is not inf and -1 elsewhere, got others")
 
 
 class LoadedMesh(NamedTuple):
@@ -253,23 +220,17 @@ class Crash(ProcessEnd):
         return f"Mitsuba ended without an answer ({self.exit}): {self.output}".strip()
 
 
-CHILD_MODULE = "mitsuba_ref.reference.mitsuba_process"
-
-
-def start(environment: Mapping[str, str], command: Sequence[str] | None = None) -> ResidentProcess:
+def start(environment: Mapping[str, str]) -> ResidentProcess:
     """Start a process that answers requests. Raises ProcessEnded while starts are refused."""
     path = {"PYTHONPATH": user_import_path()}
-    return ResidentProcess(command or child_command(CHILD_MODULE), {**environment, **path}, cwd=tempfile.gettempdir())
+    return ResidentProcess(child_command(), {**environment, **path}, cwd=tempfile.gettempdir())
 
 
-def run_request(
-    request: Any, timeout: float, environment: Mapping[str, str], command: Sequence[str] | None = None
-) -> Any:
+def run_request(request: Message, timeout: float, environment: Mapping[str, str]) -> Any:
     """The response or Crash of a new process, which ends after one request. environment: added to that of this one."""
     try:
-        with start(environment, command) as process:
-            reply = process.ask(request.to_bytes(), timeout)
-        return request.response(reply)
+        with start(environment) as process:
+            return message_of(process.ask(request.to_bytes(), timeout))
     except ProcessEnded as ended:
         return Crash(**vars(ended.end))
     except (UnexpectedReply, ValueError) as error:

@@ -18,7 +18,7 @@ import numpy as np
 from caster.system import processor
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference import file_calls, variants
-from mitsuba_ref.reference.messages import OpenRequest, OpenResponse, TraceRequest, TraceResponse
+from mitsuba_ref.reference.messages import OpenRefusal, OpenRequest, OpenResponse, TraceRequest, TraceResponse
 from mitsuba_ref.scene_xml.elements import shape_and_part
 
 SCALAR_RAYS_PER_CHUNK = 16384  # limits memory: a hit takes 500 bytes
@@ -32,7 +32,7 @@ dr: Any = drjit
 UNOPTIMISED = {"optimize": False} if hasattr(mi, "parser") else {}
 
 
-def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse:
+def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse | OpenRefusal:
     """The response to a request, computed in this process. Prints nothing.
 
     Raises RuntimeError with Mitsuba's message where it refuses the scene, or only warns and the request is strict, and
@@ -56,15 +56,16 @@ def _trace_request(request: TraceRequest, logger: Any) -> TraceResponse:
         scene = mi.load_file(str(request.xml), **UNOPTIMISED)
         _restore_ellipsoids(scene)
     arrays, names = _traced(scene, request)
+    sensor = np.zeros((0, 7), np.float32)
     if request.sensor and scene.sensors():
         number = request.original["sensor"] if request.original else 0
-        arrays["sensor"] = _sensor_rays(scene.sensors()[number], request.variant)
+        sensor = _sensor_rays(scene.sensors()[number], request.variant)
     logger.set_error_level(mi.LogLevel.Error)  # a warning about a mesh file is not one about the scene
     meshes = _meshes(request)
     seconds = time.perf_counter() - start
     if not request.original:
         names = _in_scene_shapes(names, arrays)
-    return TraceResponse(names=names, versions=_versions(request), seconds=seconds, **arrays, **meshes)
+    return TraceResponse(names=names, versions=_versions(request), seconds=seconds, sensor=sensor, **arrays, **meshes)
 
 
 def _restore_ellipsoids(scene: Any) -> None:
@@ -168,21 +169,21 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
     emitters = scene.emitters() if request.lights else None
     if emitters and request.original:
         emitters = sorted(emitters, key=lambda emitter: int(emitter.id()))  # ids are numbers in the file's order
-    sizes: dict[object, Any] = {"rays": len(request.o), "lights": len(emitters or ())}
+    count, lights = len(request.o), len(emitters or ())
     found: dict[str, Array] = {
-        name: np.zeros([sizes.get(size, size) for size in shape], dtype)
-        for name, (shape, dtype) in TraceResponse.arrays().items()
-        if "rays" in shape
+        "t": np.full(count, np.inf, np.float32),
+        **{name: np.full(count, -1, np.int32) for name in ("shape", "prim")},
+        **{name: np.zeros((count, 2), np.float32) for name in ("uv", "prim_uv")},
+        **{name: np.zeros((count, 3), np.float32) for name in ("n", "sh_n", "p", "albedo")},
+        "origin": np.zeros((0 if request.leaving is None else count, 3), np.float32),
+        "light_rgb": np.zeros((lights, count, 3), np.float32),
+        "light_visible": np.zeros((lights, count), np.bool_),
     }
-    found["t"][:] = np.inf
-    found["shape"][:] = found["prim"][:] = -1
-    if len(request.leaving):
-        found["origin"] = np.zeros_like(request.leaving)
     columns = dict(found)
-    for k in range(sizes["lights"]):
+    for k in range(lights):
         columns |= {_RGB % k: found["light_rgb"][k], _VISIBLE % k: found["light_visible"][k]}
     names = {shape.id(): i for i, shape in enumerate(scene.shapes())}
-    vectorised = _is_vectorised(request.variant) and len(request.o)  # LLVM takes no empty arrays
+    vectorised = _is_vectorised(request.variant) and count  # LLVM takes no empty arrays
     hits = _llvm_hits if vectorised else _scalar_hits
     for rows, values in hits(scene, emitters, request, names):
         for name, column in values.items():
@@ -239,7 +240,7 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, 
         chunk = slice(start, start + SCALAR_RAYS_PER_CHUNK)
         numbers = (array[chunk].tolist() for array in (request.o, request.d, request.t_max))
         rows, hits = [], []
-        leaving = request.leaving[chunk].tolist()
+        leaving = None if request.leaving is None else request.leaving[chunk].tolist()
         for i, (o, d, t_max) in enumerate(zip(*numbers, strict=True), start):
             ray = make_ray(o, d, t_max, 0.0, [])
             pi = intersect(ray)
@@ -261,13 +262,16 @@ def _array_of(values: list[Any]) -> Array:
 
 def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
     count = len(request.o)
-    o, d = ([mi.Float(np.ascontiguousarray(column)) for column in array.T] for array in (request.o, request.d))
+    o, d, *leaving = (
+        [mi.Float(np.ascontiguousarray(column)) for column in array.T]
+        for array in (request.o, request.d, request.leaving)
+        if array is not None
+    )
     ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d), mi.Float(request.t_max), mi.Float(0.0), mi.Color0f())
     pi = scene.ray_intersect_preliminary(ray, coherent=True)  # a hint that changes no bit
     si = pi.compute_surface_interaction(ray, int(mi.RayFlags.All))
     hit = si.is_valid()
-    away = [mi.Float(np.ascontiguousarray(column)) for column in request.leaving.T] if len(request.leaving) else None
-    values = _values(scene, emitters, pi, si, hit, away and mi.Vector3f(away))
+    values = _values(scene, emitters, pi, si, hit, *map(mi.Vector3f, leaving))
     dr.eval(pi, si, hit, values)
     rows = np.flatnonzero(_rows(hit, count))
     found = {name: _rows(each, count)[rows] for name, each in values.items()}

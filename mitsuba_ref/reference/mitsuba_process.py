@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE
-from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse
+from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse, start
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
 
@@ -53,8 +53,8 @@ def ask_resident(request: Request, timeout: float) -> Any:
         if process and not process.alive:
             process.close()
             process = None
-        process = process or messages.start(environment)
-        response = request.response(process.ask(request.to_bytes(), timeout))
+        process = process or start(environment)
+        response = messages.message_of(process.ask(request.to_bytes(), timeout))
     except (ProcessEnded, UnexpectedReply, ValueError):
         if process:
             process.close()
@@ -72,7 +72,7 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
     content = store.get(key)
     with contextlib.suppress(ValueError):
         if content is not None:
-            return replace(request.response(content), stored=True, seconds=0.0)
+            return replace(messages.message_of(content), stored=True, seconds=0.0)
     response = send_request(request, timeout)
     if isinstance(response, TraceResponse):
         store.put(key, response.to_bytes())
@@ -87,19 +87,19 @@ def request_key(request: TraceRequest) -> str:
     """A hash of all that the response depends on. The files of the scene lie in its folder, as exported."""
     library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
     size = os.path.getsize(library) if os.path.exists(library) else ""
-    folder, meshes = request.xml.parent, request.mesh_files
-    parts: list[str | bytes] = [
-        repr(machine()),
-        environment_settings(*REFERENCE_SETTINGS),
-        *(source.read_bytes() for source in SOURCES),
-        f"{library} {size}",
-        replace(request, xml=Path(request.xml.name), mesh_files=()).to_bytes(),
-        *(part for file in meshes for part in (f"mesh {file.name}", file.read_bytes())),
-    ]
-    exported = [] if request.original else folder.rglob("*")  # the files of an original are in its digest
-    for path in sorted(path for path in exported if path.is_file()):
-        parts += [path.relative_to(folder).as_posix(), path.read_bytes()]
-    return key_of(parts)
+    exported = [] if request.original else request.xml.parent.rglob("*")  # the files of an original are in its digest
+    files = [*request.mesh_files, *sorted(path for path in exported if path.is_file())]
+    named = replace(request, xml=Path(request.xml.name), mesh_files=[Path(file.name) for file in request.mesh_files])
+    return key_of(
+        [
+            repr(machine()),
+            environment_settings(*REFERENCE_SETTINGS),
+            *(source.read_bytes() for source in SOURCES),
+            f"{library} {size}",
+            named.to_bytes(),
+            *(part for file in files for part in (file.name, file.read_bytes())),
+        ]
+    )
 
 
 _idle: dict[str, list[ResidentProcess]] = {}  # by variant and environment

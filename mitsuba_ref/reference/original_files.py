@@ -22,9 +22,11 @@ from caster.system.process import NOTHING_SELECTED
 from mitsuba_ref.error_model.intersections import Array, ceil_log2
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import as_in_file
-from mitsuba_ref.reference.messages import Coverage, Crash, OpenRequest, OpenResponse, TraceRequest
+from mitsuba_ref.reference.messages import Coverage, Crash, OpenRefusal, OpenRequest, OpenResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
+from mitsuba_ref.reference.rendering import trace_reference
+from mitsuba_ref.reference.shared_input import model_of, packed_float32, shared_rays
 from mitsuba_ref.reference.store import key_of
 
 SUFFIX = ".xml"
@@ -74,10 +76,10 @@ def open_scene(
     found = send_request(request, DEFAULT_TIMEOUT)
     if isinstance(found, Crash):
         raise SceneError(f"{path}: Mitsuba refuses it: {_refusal(found)}")
-    if found.missing:
+    if isinstance(found, OpenRefusal):
+        if found.problem:
+            raise SceneError(f"{path}: {found.problem}")
         raise FileMissing("\n".join([*found.missing, "expected beside the scene, in a <path>, or in a --mesh-dir"]))
-    if found.problem:
-        raise SceneError(f"{path}: {found.problem}")
     digest = key_of([repr(request), *(part for each in found.files for part in (each, Path(each).read_bytes()))])
     return _scene(path, replace(request, digest=digest), found, strict)
 
@@ -144,11 +146,8 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         raise NothingToJudgeError(f"{path}: {there}{reasons}")
     shapes, keys, conditions = zip(*judged, strict=True)
     unlit = [*found.unlit, *without_uv] or ([] if found.lights else ["the file has no light"])
-    hidden = 0
     if left_out:
         unlit.append(f"the shadows of the {len(left_out)} shapes that are left out are missing")
-        hides = _hits_others(request, found, keys)
-        found.rays[hides, 6], hidden = -1.0, int(hides.sum())  # no ray, on either side
     x0, y0, x1, y1 = found.crop
     whole = (x0, y0, x1, y1) == (0, 0, *found.size)
     film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
@@ -165,26 +164,20 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         start = row_lengths(found.rays[:, :3].astype(float) - np.array(scene.camera.eye))
     elif camera:
         start += camera["near"]
-    scene._original = Original(
-        request,
-        found,
-        film,
-        start,
-        keys,
-        np.array(conditions),
-        has_camera=camera is not None,
-        exact_camera=exact,
-        coverage=Coverage(
-            len(found.placed),
-            len(shapes),
-            tuple(left_out),
-            hidden,
-            tuple(unlit),
-            dict(found.dropped),
-            (note,) if note else (),
-            strict,
-        ),
+    coverage = Coverage(
+        len(found.placed),
+        len(shapes),
+        tuple(left_out),
+        unlit=tuple(unlit),
+        dropped=dict(found.dropped),
+        notes=(note,) if note else (),
+        strict=strict,
     )
+    scene._original = Original(request, found, film, start, keys, np.array(conditions), exact, coverage)
+    if left_out:
+        hides = _hits_others(scene)
+        found.rays[hides, 6] = -1.0  # no ray, on either side
+        scene._original = replace(scene._original, coverage=replace(coverage, hidden=int(hides.sum())))
     return scene
 
 
@@ -201,16 +194,14 @@ def _with_texels(material: Mapping[str, Any], found: OpenResponse) -> Mapping[st
     return {**material, "reflectance": rest | {"data": data}}
 
 
-def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str]) -> Array:
-    """(n,) bool: rays that hit a shape in Mitsuba which is not among the keys, those of judged shapes."""
-    o, d, t_max = (np.ascontiguousarray(found.rays[:, columns]) for columns in (slice(0, 3), slice(3, 6), 6))
-    trace = TraceRequest(Path(request.file), found.variant, o, d, t_max)
-    answer = send_stored(replace(trace, lights=False, strict=False, original=vars(request)), DEFAULT_TIMEOUT)
-    if isinstance(answer, Crash):
-        raise SceneError(f"{request.file}: {answer.message}")
-    judged = np.array([*(name in keys for name in answer.names), True])
-    others: Array = ~judged[answer.shape]
-    return others
+def _hits_others(scene: MitsubaScene) -> Array:
+    """(n,) bool: rays that hit a shape in Mitsuba which is not judged."""
+    rays = shared_rays(scene)
+    model = model_of(scene, packed_float32(scene), rays)
+    found = trace_reference(scene, model, rays, lights=False, send=send_stored)
+    if isinstance(found, Crash):
+        raise SceneError(found.message)
+    return found.hit & (found.shape_id < 0)
 
 
 def _across(d: Sequence[float]) -> Sequence[float]:
@@ -369,7 +360,7 @@ def import_xml(
     opened = open_scene(path, Opening(parameters, sensor), size=size, mesh_dirs=mesh_dirs)
     original = original_of(opened)
     assert original is not None
-    if not original.has_camera:
+    if camera_of(original.opened.camera)[0] is None:
         raise SceneError(f"{path}: {original.coverage.notes[0]}; a scene of its own needs perspective or orthographic")
     fields = {name: getattr(opened, name) for name in ("film", "camera", "lights", "materials", "shapes")}
     return ImportedScene(Scene(**fields), tuple(original.coverage.lines()))

@@ -23,7 +23,6 @@ class Original:
     start: Array  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
     keys: tuple[str, ...]  # by which Mitsuba's answers name the scene's shapes
     condition: Array  # (shapes,) as in error_model.scene_model.InstancedModel
-    has_camera: bool  # whether the caster has a camera like the sensor
     exact_camera: bool  # whether that has the sensor's rays, up to rounding
     coverage: Coverage
 
@@ -34,8 +33,8 @@ class Original:
         size = self.film.width, self.film.height
         if (film.width, film.height) != size or a0 < x0 or b0 < y0 or a1 > x1 or b1 > y1:
             raise SceneError(f"film: expected a window of {self.film.window} of {size}, as the file was opened")
-        y, x = np.meshgrid(np.arange(b0, b1) - y0, np.arange(a0, a1) - x0, indexing="ij")
-        return (y * (x1 - x0) + x).ravel()
+        numbers = np.arange(len(self.start)).reshape(y1 - y0, x1 - x0)
+        return numbers[b0 - y0 : b1 - y0, a0 - x0 : a1 - x0].ravel()
 
 
 class MitsubaScene(Scene):
@@ -51,7 +50,8 @@ class MitsubaScene(Scene):
 
     def sha256(self) -> str:
         """A hash of the contents of the file and all files that it names, and of how it was opened."""
-        return repr((original_of(self), self.film)) if self._original is None else self._original.request.digest
+        assert self._original is not None  # open_scene sets it
+        return self._original.request.digest
 
 
 def original_of(scene: Scene) -> Original | None:

@@ -1,7 +1,7 @@
 """Trace the shared rays with Mitsuba; name its outputs like the caster's AOVs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -66,12 +66,6 @@ def variant_of(scene: Scene) -> str:
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
-def reference_names(scene: Scene) -> Sequence[str]:
-    """The name of each shape in Mitsuba's answers."""
-    original = original_of(scene)
-    return original.keys if original else shape_ids(scene)
-
-
 def trace_reference(
     scene: Scene,
     model: SceneModel,
@@ -95,18 +89,23 @@ def trace_reference(
     original, variant = original_of(scene), variant or variant_of(scene)
     with ScratchFolder() as folder:
         xml = Path(original.request.file) if original else export(scene, model, robust=robust).write(Path(folder))
-        request = TraceRequest(xml, variant, rays.o, rays.d, rays.t_max, lights=lights, sensor=True)
-        if original:
-            lit, about = lights and not original.coverage.unlit, vars(original.request) | {"robust": robust}
-            request = replace(request, original=about, strict=False, lights=lit, sensor=original.exact_camera)
-        else:
-            request = replace(request, mesh_files=[file.absolute() for file in mesh_files])
-        if leaving is not None:
-            request = replace(request, sensor=False, strict=False, leaving=leaving.astype(np.float32))
+        request = TraceRequest(
+            xml,
+            variant,
+            rays.o,
+            rays.d,
+            rays.t_max,
+            lights=lights and not (original and original.coverage.unlit),
+            sensor=leaving is None and (original is None or original.exact_camera),
+            strict=leaving is None and original is None,
+            mesh_files=[file.absolute() for file in mesh_files],
+            original=vars(original.request) | {"robust": robust} if original else None,
+            leaving=None if leaving is None else leaving.astype(np.float32),
+        )
         answer = send(request, timeout)
     if isinstance(answer, Crash):
         return answer
-    index_of = {name: index for index, name in enumerate(reference_names(scene))}
+    index_of = {name: index for index, name in enumerate(original.keys if original else shape_ids(scene))}
     table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
     visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
     return ReferenceResult(
@@ -141,7 +140,9 @@ def aovs_of(
     misses = {aov.NAME: aov.MISS for aov in AOVS}
     images = {}
     for name in names:
-        values = flat[name] if flat[name].dtype.kind != "f" else flat[name].astype(np.float64)
+        values = flat[name]
+        if values.dtype.kind == "f":
+            values = values.astype(np.float64)
         there = hit if values.ndim == 1 else hit[:, None]
         images[name] = np.where(there, values, misses[name]).astype(values.dtype).reshape(shape + values.shape[1:])
     return Aovs(images, hit.reshape(shape))

@@ -106,7 +106,7 @@ def pixel_of(scene: Scene, row: int) -> tuple[int, int]:
 
 def pixel_centers(scene: Scene) -> tuple[Array, Array]:
     """x and y of the window's pixel centres, row by row."""
-    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
+    x0, y0, x1, y1 = scene.film.window
     y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
     return x.ravel(), y.ravel()
 

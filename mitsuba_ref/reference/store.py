@@ -12,6 +12,7 @@ import platform
 import sys
 import zlib
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -30,12 +31,12 @@ LISTINGS = 64
 LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite", "OpenEXR", "pydantic")  # that results depend on
 
 
+@dataclass(frozen=True)
 class StoreFolder:
     """Results as sealed files in one folder of this user. The least recently used ones make room for others."""
 
-    def __init__(self, folder: Path, limit: int) -> None:
-        """limit: bytes of all files."""
-        self.folder, self.limit = folder, limit
+    folder: Path
+    limit: int  # bytes of all files
 
     def get(self, key: str) -> bytes | None:
         """The bytes stored under a key; None where there are none, or none to be trusted. Never raises."""

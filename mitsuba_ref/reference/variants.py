@@ -78,10 +78,9 @@ def _response_problem(response: TraceResponse | Crash) -> str:
         and miss == np.inf
         and np.max(np.abs(normals - [[0, 0, 1], [0, 0, 0]])) <= EXACT_NORMAL_ERROR
     )
-    return "" if right else f"{WRONG_ANSWER}: t {response.t.tolist()}, normals {response.sh_n.tolist()}"
+    return "" if right else f"wrong answer: t {response.t.tolist()}, normals {response.sh_n.tolist()}"
 
 
-WRONG_ANSWER = "wrong answer"
 NO_LIBLLVM = "no libLLVM found"
 WAY_OUT = "`mitsuba-ref doctor` names a way out"
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.

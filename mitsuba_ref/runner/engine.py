@@ -10,18 +10,15 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from caster.rendering.threads import core_count
 from caster.system import process
 from caster.system.cluster import Cluster, Outcome
 from mitsuba_ref.reference import subprocess_runner
-from mitsuba_ref.reference.store import PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
+from mitsuba_ref.reference.store import LIBRARIES, PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
 from mitsuba_ref.runner.verdict_files import OUR_SETTINGS, code_hash
 from mitsuba_ref.runner.workers import Workers
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 LOCAL = "local"
 INTERRUPTED_SECONDS = 1.5  # given to calls in progress to end after an interruption
@@ -46,7 +43,8 @@ class Engine:
     ) -> Generator[Outcome, None, None]:
         """function(*args) for each of the calls, several at a time; outcomes in their order.
 
-        then: makes the result in this process from what the function returned, as soon as it has.
+        then: makes the result in this process from what the function returned, as soon as it has. No further call
+        starts after an interruption.
         """
         if self.cluster:
             with closing(self.cluster.map(function, calls, self.seconds)) as outcomes:
@@ -60,7 +58,27 @@ class Engine:
         def work(args: tuple[Any, ...]) -> Outcome:
             return _outcome_of(lambda *given: then(pool.call(function, *given) if pool else function(*given)), args)
 
-        yield from map_in_order(work, calls, self.workers, pool.stop if pool else lambda: None)
+        threads = ThreadPoolExecutor(self.workers)
+        futures = deque[Future[Outcome]]()
+        try:
+            for args in calls:
+                futures.append(threads.submit(work, args))
+                if len(futures) >= CALLS_AHEAD * self.workers:
+                    yield futures[0].result()
+                    futures.popleft()  # so that the result can be released
+            while futures:
+                yield futures[0].result()
+                futures.popleft()
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
+            subprocess_runner.kill_subprocesses()
+            if pool:
+                pool.stop()
+            if process.interrupted.is_set():  # work in compiled code ends with the process
+                wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
+            else:
+                threads.shutdown(wait=True)
+            subprocess_runner.allow_subprocesses()
 
 
 def _outcome_of(function: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
@@ -87,42 +105,9 @@ def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True
 
 
 SOURCES, SETTINGS = "source code", "environment"
-SAME_EVERYWHERE = (SOURCES, SETTINGS, "python", "mitsuba", "drjit", "numpy", "numba", "llvmlite", "OpenEXR", "pydantic")
+SAME_EVERYWHERE = (SOURCES, SETTINGS, "python", *LIBRARIES)
 
 
 def worker_identity() -> Mapping[str, str]:
     """All that results depend on, by name; the processor may differ, and verdicts name it."""
     return {**machine(), SOURCES: code_hash(), SETTINGS: environment_settings(*OUR_SETTINGS, *REFERENCE_SETTINGS)}
-
-
-def map_in_order(
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int | None = None,
-    end_work: Callable[[], None] = lambda: None,
-) -> Generator[Result, None, None]:
-    """work(item) for each, several at a time; results in order. No further work starts after an interruption.
-
-    workers: at a time; None: one for each core. end_work: called at an interruption, to end the work in progress.
-    """
-    workers = workers or core_count()
-    pool = ThreadPoolExecutor(workers)
-    futures = deque[Future[Result]]()
-    try:
-        for item in items:
-            futures.append(pool.submit(work, item))
-            if len(futures) >= CALLS_AHEAD * workers:
-                yield futures[0].result()
-                futures.popleft()  # so that the result can be released
-        while futures:
-            yield futures[0].result()
-            futures.popleft()
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        subprocess_runner.kill_subprocesses()
-        end_work()
-        if process.interrupted.is_set():  # work in compiled code ends with the process
-            wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
-        else:
-            pool.shutdown(wait=True)
-        subprocess_runner.allow_subprocesses()

@@ -71,7 +71,7 @@ def inputs_hash(entry: SceneEntry, scene: Scene | None = None) -> str:
 
 
 def with_inputs_hash(entry: SceneEntry) -> SceneEntry:
-    """The entry with its inputs_hash, or UNKNOWN: then no worker judges it."""
+    """The entry with its inputs_hash, or UNKNOWN, with which no worker judges it."""
     try:
         return replace(entry, inputs=inputs_hash(entry))
     except (SceneError, MemoryError):
@@ -95,7 +95,7 @@ def entries_of_hits(
     """
     count = len(rays.rows)
     for array, values in hits.items():
-        if len(values.shape) == 0 or len(values) != count:
+        if values.shape[:1] != (count,):
             raise SceneError(
                 f"{where}: {array}: expected one row for each of the {count} rays, got shape {values.shape}"
             )
@@ -104,8 +104,7 @@ def entries_of_hits(
     first, last = (0, count) if row is None else (row, row + 1)
     if first >= count:
         raise SceneError(f"--row {first}: expected a ray of 0 to {count - 1}")
-    width = rays.width if (first, last) == (0, count) else 0
-    film, shared = lay_out(scene, rays._replace(rows=rays.rows[first:last], width=width))
+    film, shared = lay_out(scene, rays._replace(rows=rays.rows[first:last]))
     arrays = {array: values[first:last] for array, values in hits.items()}
     endings = [("t", ""), ("any_hit", " any-hit" if "t" in hits else "")]
     return [

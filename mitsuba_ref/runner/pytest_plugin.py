@@ -5,19 +5,18 @@ Without the option and the fixture, nothing is collected or loaded. Entry point 
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneVerdict
     from mitsuba_ref.report.validation import Validation
-    from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
 REPORT = "mitsuba-ref-report"
@@ -25,28 +24,6 @@ REPORT = "mitsuba-ref-report"
 VERDICT = "verdict"  # the name of a scene's test
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
-
-# --mitsuba-ref-NAME and the ini option mitsuba_ref_NAME: help, the option's arguments, the type of the ini option.
-OPTIONS: dict[str, tuple[str, dict[str, Any], Literal["args", "string"]]] = {
-    "size": ("film in pixels, W H, instead of the scenes' own", {"nargs": 2, "metavar": ("W", "H")}, "args"),
-    "candidate": (
-        "another ray caster, judged in place of ours: package.module:function, or a command",
-        {"metavar": "CANDIDATE"},
-        "string",
-    ),
-    "candidate-serve": (
-        "the same as a program that is started once and answers over stdin and stdout",
-        {"metavar": "COMMAND"},
-        "string",
-    ),
-    "candidate-precision": (
-        "its arithmetic, float32 or float64; default: the type of what it returns",
-        {"metavar": "PRECISION"},
-        "string",
-    ),
-    "html": ("write a report for the browser on all judged scenes into this folder", {"metavar": "DIR"}, "string"),
-}
-CANDIDATE_OPTIONS = tuple(name for name in OPTIONS if name.startswith("candidate"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -58,18 +35,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         dest="mitsuba_ref",
         help="collect scene files, .toml and .json: each is a test",
     )
-    for name, (what, option, kind) in OPTIONS.items():
-        group.addoption(f"--mitsuba-ref-{name}", default=None, help=f"{what}; also an ini option", **option)
-        parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, type=kind)
-    folders = "folders beyond a scene's own whose meshes it may use"
-    parser.addini("mitsuba_ref_mesh_dirs", folders, type="paths", default=[])
+    film = "film in pixels, W H, instead of the scenes' own"
+    group.addoption(f"{OPTION}-size", nargs=2, type=int, metavar=("W", "H"), help=film)
+    candidate = "another ray caster, judged in place of ours: package.module:function, or a command"
+    group.addoption(f"{OPTION}-candidate", metavar="CANDIDATE", help=candidate)
+    precision = "its arithmetic, float32 or float64; default: the type of what it returns"
+    group.addoption(f"{OPTION}-candidate-precision", metavar="PRECISION", help=precision)
+    page = "write a report for the browser on all judged scenes into this folder"
+    group.addoption(f"{OPTION}-html", metavar="DIR", help=page)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if folder := given(config, "html"):
+    config.addinivalue_line("markers", "mitsuba_ref: a scene, by --mitsuba-ref")
+    if folder := config.getoption(f"{OPTION}-html"):
         config.pluginmanager.register(Report(config, config.invocation_params.dir / folder), REPORT)
     if config.getoption("mitsuba_ref"):
-        config.pluginmanager.register(ScenePlugin(config), "mitsuba-ref-scenes")
+        config.pluginmanager.register(ScenePlugin(config))
 
 
 @pytest.fixture
@@ -80,18 +61,24 @@ def judge_caster(request: pytest.FixtureRequest) -> Callable[..., Validation]:
     """
 
     def judge(trace: Any, scene: Any = None, **options: Any) -> Validation:
-        import mitsuba_ref
-        from mitsuba_ref.report.verdict_text import short_text
-
-        verdict = mitsuba_ref.validate(scene, candidate=trace, **options)
-        if isinstance(report := request.config.pluginmanager.get_plugin(REPORT), Report):
-            for found in verdict.scenes:
-                report.add(found, f"{request.node.name} {found.name}")
-        if not verdict.ok:
-            pytest.fail(short_text(verdict), pytrace=False)
-        return verdict
+        return judged(request.config, request.node.name, scene, candidate=trace, **options)
 
     return judge
+
+
+def judged(config: pytest.Config, test: str, scene: Any, **options: Any) -> Validation:
+    """The verdict of mitsuba_ref.validate, in the report if there is one; fails the test if it is not ok."""
+    import mitsuba_ref
+    from caster.system.terminal import printable
+    from mitsuba_ref.report.verdict_text import short_text
+
+    verdict = mitsuba_ref.validate(scene, **options)
+    if report := config.pluginmanager.get_plugin(REPORT):
+        for found in verdict.scenes:
+            report.add(found, f"{test} {found.name}")
+    if not verdict.ok:
+        pytest.fail(printable(short_text(verdict)), pytrace=False)
+    return verdict
 
 
 class Report:
@@ -106,7 +93,7 @@ class Report:
         try:
             self.written = HtmlReport(folder, 0)
         except OutputError as error:
-            raise pytest.UsageError(f"mitsuba_ref_html: {error}") from None
+            raise pytest.UsageError(f"{OPTION}-html: {error}") from None
 
     def add(self, verdict: SceneVerdict, name: str) -> None:
         """Add a scene with its evidence. name: distinct in the session."""
@@ -132,91 +119,18 @@ class Report:
 
 
 class ScenePlugin:
-    """Hooks of pytest that collect scenes, and their verdicts."""
+    """Collects scenes."""
 
     def __init__(self, config: pytest.Config) -> None:
-        config.addinivalue_line("markers", "mitsuba_ref: a scene, by --mitsuba-ref")
-        self.config = config
-        self.start = config.invocation_params.dir
-        self.size = film_size(given(config, "size"))
-        self.words = {name: given(config, name) or "" for name in CANDIDATE_OPTIONS}
-        if self.words["candidate"] and self.words["candidate-serve"]:
-            raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
-        self.candidate = self.words["candidate"] or self.words["candidate-serve"]
-        if self.words["candidate-precision"] and not self.candidate:
-            raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
-        self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
-        self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
+        """Raises pytest.UsageError for a precision without a candidate."""
+        if config.getoption(f"{OPTION}-candidate-precision") and not config.getoption(f"{OPTION}-candidate"):
+            raise pytest.UsageError(f"{OPTION}-candidate-precision: expected {OPTION}-candidate beside it")
+        self.named = {Path(config.invocation_params.dir, arg.split("::")[0]).resolve() for arg in config.args}
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
         if file_path.suffix.lower() in SUFFIXES and (file_path.resolve() in self.named or is_scene(file_path)):
-            collector: SceneFile = SceneFile.from_parent(parent, path=file_path)
-            collector.plugin = self
-            return collector
+            return SceneFile.from_parent(parent, path=file_path)
         return None
-
-    def pytest_report_header(self) -> str:
-        film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
-        about = f", candidate {self.candidate}" if self.candidate else ""
-        return f"mitsuba-ref: {film}{about}"
-
-    def problem_of(self, path: Path) -> str:
-        """What is wrong with a scene or with the candidate, as `validate` prints it; "" if nothing is."""
-        from caster.description.errors import SceneError
-        from mitsuba_ref.report.html_report import page_record
-        from mitsuba_ref.report.verdict_text import failure_text
-        from mitsuba_ref.runner import many_scenes
-
-        named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
-        options = *(("mesh-dir", folder) for folder in self.mesh_dirs), *self.words.items()
-        words = tuple(word for name, value in options if value for word in (f"--{name}", value))
-        entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
-        report = self.config.pluginmanager.get_plugin(REPORT)
-        page_of = page_record if isinstance(report, Report) else None
-        try:
-            failing = self.failing_run_checks
-            judge = many_scenes.JudgeOptions(subject=self.subject, page_of=page_of)
-        except SceneError as error:
-            return str(error)
-        with many_scenes.engine_for([entry], judge, workers=1) as engine:
-            (verdict,) = many_scenes.run([entry], judge, engine)
-        if isinstance(report, Report):
-            report.add(verdict, named)
-        return "\n".join([*([] if verdict.ok else [failure_text(verdict)]), *failing])
-
-    @cached_property
-    def subject(self) -> Subject | None:
-        """The candidate, if there is one. Raises SceneError for one that cannot be used."""
-        from mitsuba_ref.subjects.requests import parse_candidate
-
-        if not self.candidate:
-            return None
-        served = bool(self.words["candidate-serve"])
-        return parse_candidate(self.candidate, self.words["candidate-precision"] or None, served=served)
-
-    @cached_property
-    def failing_run_checks(self) -> list[str]:
-        """Those of the checks that are made once a run, each as a line."""
-        from mitsuba_ref.judge.checks import run_checks
-
-        return [f"FAIL  {check.name}: {check.what}" for check in run_checks(self.subject) if not check.ok]
-
-
-def given(config: pytest.Config, name: str) -> Any:
-    """The value of one of OPTIONS, from the command line or else from the ini file."""
-    underscored = f"mitsuba_ref_{name.replace('-', '_')}"
-    return config.getoption(underscored) or config.getini(underscored)
-
-
-def film_size(words: list[str]) -> tuple[int, int] | None:
-    """Width and height; None without words. Raises pytest.UsageError."""
-    if not words:
-        return None
-    try:
-        width, height = map(int, words)
-    except ValueError:
-        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers, W H, got {' '.join(words)}") from None
-    return width, height
 
 
 def is_scene(path: Path) -> bool:
@@ -231,22 +145,24 @@ def is_scene(path: Path) -> bool:
 class SceneFile(pytest.File):
     """The file of a scene."""
 
-    plugin: ScenePlugin  # that collected it
-
     def collect(self) -> Iterator[SceneTest]:
-        yield SceneTest.from_parent(self, name=VERDICT, plugin=self.plugin)
+        test: SceneTest = SceneTest.from_parent(self, name=VERDICT)
+        test.add_marker("mitsuba_ref")
+        yield test
 
 
 class SceneTest(pytest.Item):
     """The test of one scene."""
 
-    def __init__(self, plugin: ScenePlugin, **about: Any) -> None:
-        super().__init__(**about)
-        self.plugin = plugin
-        self.add_marker("mitsuba_ref")
-
     def runtest(self) -> None:
-        if problem := self.plugin.problem_of(self.path):
-            from caster.system.terminal import printable
+        from caster.description.errors import SceneError
+        from caster.system.terminal import printable
 
-            pytest.fail(printable(problem), pytrace=False)
+        size, candidate, precision = (
+            self.config.getoption(f"{OPTION}-{name}") for name in ("size", "candidate", "candidate-precision")
+        )
+        path = os.path.relpath(self.path, self.config.invocation_params.dir)
+        try:
+            judged(self.config, path, path, candidate=candidate, size=size and tuple(size), precision=precision)
+        except SceneError as error:
+            pytest.fail(printable(str(error)), pytrace=False)

@@ -11,7 +11,7 @@ from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.store import BUILD, PROCESSOR, key_of, machine
 from mitsuba_ref.report.results import libllvm
-from mitsuba_ref.runner.many_scenes import SceneEntry
+from mitsuba_ref.runner.many_scenes import SceneEntry, with_inputs_hash
 from mitsuba_ref.runner.verdict_files import UnreadableVerdict, code_hash
 
 
@@ -51,17 +51,9 @@ def run_identity(entries: Sequence[SceneEntry], shard: Shard | None) -> dict[str
     if shard is None:
         return {"code": code_hash(), "judged_with": judged_with()}
     # Scenes are part of the hash, so that shards of other scenes with the same names are not merged.
-    code = key_of([code_hash(), *(part for entry in entries for part in (entry.name, _scene_hash(entry)))])
+    code = key_of([code_hash(), *(part for entry in entries for part in (entry.name, with_inputs_hash(entry).inputs))])
     names = tuple(entry.name for entry in entries)
     return {"code": code, "judged_with": judged_with(), "shard": str(shard), "selected": names}
-
-
-def _scene_hash(entry: SceneEntry) -> str:
-    """SHA-256 of a scene and its meshes; "" where it cannot be loaded."""
-    try:
-        return entry.load().sha256()
-    except (SceneError, MemoryError):
-        return ""
 
 
 class DifferentRuns(SceneError):  # noqa: N818 - names a state

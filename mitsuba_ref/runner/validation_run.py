@@ -5,14 +5,11 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
-from pydantic_core import ErrorDetails
-
-from caster.description.errors import SceneError
+from caster.description.fields import Description, Index
 from caster.description.input_files import read_text
-from caster.description.parsing import list_errors, parse
+from caster.description.parsing import model_of_text
 from caster.rendering.threads import core_count
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.checks import run_checks
@@ -125,23 +122,21 @@ EXPECTED_HEAD = """\
 """
 
 
-class ExpectedFailure(BaseModel):
+class ExpectedFailure(Description):
     """A scene that is known to fail."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
     scene: str
-    checks: list[str]  # names of the checks that may fail
-    pixels: NonNegativeInt  # how many may fail at most
+    checks: tuple[str, ...]  # names of the checks that may fail
+    pixels: Index  # how many may fail at most
     why: str = ""
 
 
-class ExpectedFailures(BaseModel):
+class ExpectedFailures(Description):
     """The contents of the file of --expected."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    ELEMENTS: ClassVar[dict[str, int]] = {"failure": 2}
 
-    failure: list[ExpectedFailure] = []
+    failure: tuple[ExpectedFailure, ...] = ()
 
     def covers(self, found: SceneVerdict) -> bool:
         """Whether a scene fails only in a known way."""
@@ -156,17 +151,8 @@ class ExpectedFailures(BaseModel):
 
 
 def read_expected(path: str) -> ExpectedFailures:
-    """The known failures of a file. Raises FileMissing, or SceneError with the first errors in the file."""
-    try:
-        return ExpectedFailures.model_validate(parse(read_text(path, "file of known failures"), "toml", path))
-    except RecursionError as error:
-        raise SceneError(f"{path}: expected TOML, as --write-expected writes it: nested too deeply") from error
-    except ValidationError as error:
-
-        def problem(each: ErrorDetails) -> str:
-            return f"{path}: {'.'.join(map(str, each['loc']))}: {each['msg'][:1].lower()}{each['msg'][1:]}"
-
-        raise SceneError(list_errors(error.errors(), problem, path)) from error
+    """The known failures of a file. Raises FileMissing, or SceneError with every error and its line."""
+    return model_of_text(ExpectedFailures, read_text(path, "file of known failures"), "toml", path)
 
 
 def expected_toml(done: Sequence[SceneVerdict]) -> str:

@@ -71,8 +71,7 @@ class VersionComparison:
         return all(scene.ok for scene in self.scenes)
 
 
-OURS, REFERENCE = "ours", "reference"
-Evidence = dict[str | tuple[str, str], Array]  # one row a pixel; of a quantity by (its name, the side)
+Evidence = dict[str, Array]  # one row a pixel; of a quantity (n, 2, c), for ours and the reference
 
 
 def evidence_of(seen: Seen) -> Evidence:
@@ -81,8 +80,8 @@ def evidence_of(seen: Seen) -> Evidence:
     assert uv is not None  # our caster gives it
     found: Evidence = {HIT: judge.reference_prim, AGREE: seen.judgement.is_class(AGREE)}
     for name in QUANTITIES:
-        for side, values in zip((OURS, REFERENCE), uv if name == "uv" else judge.pixels.pair(name), strict=False):
-            found[name, side] = values.reshape(len(judge.hit), -1)
+        sides = uv[:2] if name == "uv" else judge.pixels.pair(name)
+        found[name] = np.stack([values.reshape(len(judge.hit), -1) for values in sides], axis=1)
     return found
 
 
@@ -111,13 +110,13 @@ def _changes(scene: Scene, a: Evidence, b: Evidence) -> Iterator[QuantityChange]
     if not same.all():
         yield QuantityChange(HIT, int((~same).sum()), 0.0, _listed(scene, np.flatnonzero(~same)))
     for name in QUANTITIES:
-        values = [each[name, REFERENCE] for each in (a, b)]
+        values = [each[name][:, 1] for each in (a, b)]
         bits = [np.ascontiguousarray(each, np.float64).view(np.int64) for each in values]
         changed = (bits[0] != bits[1]).any(axis=1)
         if changed.any():
             change = np.nan_to_num(np.where(changed & same, row_distance(*values), 0.0), nan=np.inf)
             rows = np.argsort(-change, kind="stable")[: int(changed.sum())]
-            errors = [row_distance(a[name, OURS], each)[agree] for each in values]
+            errors = [row_distance(a[name][:, 0], each)[agree] for each in values]
             found = tuple(map(_errors, errors, errors[::-1]))
             yield QuantityChange(name, len(rows), float(change.max()), _listed(scene, rows), found)
 

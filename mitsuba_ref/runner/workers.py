@@ -61,7 +61,7 @@ class Worker:
         """The reply to a call. Raises as `call` does."""
         try:
             if not self._has_replied(seconds):
-                self.close(signal.SIGKILL)
+                self.close()
                 raise CallEnded(f"killed after {seconds:g} s without an answer")
             result, error = self.connection.recv()
         except (EOFError, OSError):
@@ -83,16 +83,15 @@ class Worker:
                 return False
         return True
 
-    def close(self, number: int = signal.SIGTERM) -> list[str]:
+    def close(self) -> list[str]:
         """End the worker and remove its files; returns the last Python calls before a crash."""
         self.connection.close()
-        pid = self.process.pid or 0
-        if self.process.is_alive() and pid:
-            os.kill(pid, number)
+        self.process.terminate()
         self.process.join(STOP_SECONDS)
         self.process.kill()
         self.process.join()
-        kill_group(pid)
+        assert self.process.pid is not None  # it was started
+        kill_group(self.process.pid)
         stack: list[str] = []
         with contextlib.suppress(OSError), Path(self.folder.name, STACK_FILE).open(errors="replace") as lines:
             stack = [line.strip() for line in lines if line.lstrip().startswith("File ")][:MAX_CALLS]

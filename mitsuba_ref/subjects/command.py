@@ -6,8 +6,7 @@ import shlex
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -55,21 +54,20 @@ UNSUPPORTED_CODE = 77  # exit code of a program that declines a scene, as of a s
 DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
 
 
-def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ...], frozenset[str]]:
-    """(words, names of its placeholders) of a command, split as by a shell; no shell runs it. Raises SceneError."""
+def split_command(text: str, placeholders: Sequence[str]) -> tuple[str, ...]:
+    """The words of a command with no other placeholders, split as by a shell; no shell runs it. Raises SceneError."""
     try:
         words = shlex.split(text)
     except ValueError as error:
         raise SceneError(str(error)) from error
     if not words:
         raise SceneError("expected a program and its arguments, got blanks alone")
-    named = frozenset(PLACEHOLDER.findall(text))
-    if unknown := named - set(placeholders):
+    if unknown := {*PLACEHOLDER.findall(text)} - {*placeholders}:
         known = ", ".join(f"{{{name}}}" for name in placeholders)
         raise SceneError(f"{{{min(unknown)}}} stands for nothing; known are {known}")
     if shutil.which(words[0]) is None:
         raise SceneError(f"there is no program '{words[0]}' to run")
-    return tuple(words), named
+    return tuple(words)
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ class CommandSubject(Program):
             raise NoAnswer(f"the program ended well, but its image cannot be read: {error}") from error
         except FileMissing as error:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
-        return answer_from_exr(exr, request, self, as_exported=self.reads_xml)
+        return answer_from_exr(exr, request, self)
 
 
 def write_toml(request: CastRequest) -> Path:
@@ -158,9 +156,7 @@ def write_toml(request: CastRequest) -> Path:
     return path
 
 
-def answer_from_exr(
-    exr: Exr, request: CastRequest, subject: "CommandSubject | ExrFile", *, as_exported: bool = False
-) -> Answer:
+def answer_from_exr(exr: Exr, request: CastRequest, subject: "CommandSubject | ExrFile") -> Answer:
     """The answer from an image of the subject: depth along the ray from the eye, geometric normal, mask.
 
     Raises NoAnswer, also if its pixels are not those of the film.
@@ -189,7 +185,7 @@ def answer_from_exr(
         n,
         np.ones(len(t), bool),
         precision=subject.precision or FLOAT32,
-        as_exported=as_exported,
+        as_exported=subject.reads_xml,
         t_rounding=stored,
         own_camera=True,
         notes=(OWN_CAMERA_NOTE, *steps),
@@ -315,19 +311,15 @@ class RayCommand(RayProgram):
         return self.answer_of_bytes(data, request, "{hits}")
 
 
+served: dict[tuple[str, ...], ResidentProcess] = {}  # the programs that run, by the words of their commands
+_one_at_a_time = threading.Lock()  # scenes are judged several at a time
+
 DECLINED = -1  # in place of the length of a response: the program does not support the scene
 
 
 @dataclass(frozen=True)
 class ServedCommand(RayProgram):
     """A program that is started once, reads meshes and rays from stdin and writes hits to stdout."""
-
-    running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
-    turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
-
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        """A process that reads pickles of it starts the program once."""
-        return served_command, tuple(getattr(self, each.name) for each in fields(self) if each.compare)
 
     def answer(self, request: CastRequest) -> Answer:
         """Send triangles and rays, read hits; restart a program that has ended. Raises NoAnswer."""
@@ -343,7 +335,7 @@ class ServedCommand(RayProgram):
                 )
             return max(length, 0)
 
-        with self.turn:
+        with _one_at_a_time:
             reply = self._reply(b"".join(map(length_first, parts)), length_of)
         if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
@@ -351,10 +343,10 @@ class ServedCommand(RayProgram):
 
     def _reply(self, data: bytes, length_of: Callable[[bytes], int]) -> bytes:
         try:
-            if not self.running or not self.running[0].alive:
-                self.running[:] = [ResidentProcess(self.words)]
-                atexit.register(self.running[0].close)
-            return self.running[0].request(data, self.seconds, length_of)
+            if self.words not in served or not served[self.words].alive:
+                served[self.words] = ResidentProcess(self.words)
+                atexit.register(served[self.words].close)
+            return served[self.words].request(data, self.seconds, length_of)
         except OSError as error:
             raise NoAnswer(f"{self.words[0]} could not be started: {error.strerror}") from error
         except UnexpectedReply as error:
@@ -362,9 +354,3 @@ class ServedCommand(RayProgram):
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
             raise NoAnswer(f"the program ended before its response was whole{_last_words(ended.end)}") from None
-
-
-@cache
-def served_command(*arguments: Any) -> ServedCommand:
-    """The one ServedCommand of these arguments in this process."""
-    return ServedCommand(*arguments)

@@ -89,22 +89,23 @@ def checked_rays(rows: Array, where: str, width: int = 0) -> RayList:
     if not len(rows):
         raise SceneError(f"{where}: expected at least one ray, got none")
     rows = np.ascontiguousarray(rows.astype(native, copy=False))
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         line, limits = rows[:, :6].astype(np.float32), rows[:, 6:]
-    for bad, expected in (
-        (~np.isfinite(rows[:, :6]).all(axis=1), "finite numbers in o and d"),
-        (~np.isfinite(line).all(axis=1), "o and d within float32, in which Mitsuba traces"),
-        (~line[:, 3:].any(axis=1), "a direction that is not zero, also as float32"),
-        (~((limits[:, 0] >= 0.0) & np.isfinite(limits[:, 0])), "a finite t_min >= 0"),
-        (~(limits[:, 1] >= limits[:, 0]), "t_max >= t_min; inf for a ray without end"),
+        start = line[:, :3].astype(np.float64) + limits[:, :1].astype(np.float64) * line[:, 3:]
+    for good, expected in (
+        (np.isfinite(rows[:, :6]).all(axis=1), "finite numbers in o and d"),
+        (np.isfinite(line).all(axis=1), "o and d within float32, in which Mitsuba traces"),
+        (line[:, 3:].any(axis=1), "a direction that is not zero, also as float32"),
+        ((limits[:, 0] >= 0.0) & np.isfinite(limits[:, 0]), "a finite t_min >= 0"),
+        (limits[:, 1] >= limits[:, 0], "t_max >= t_min; inf for a ray without end"),
+        (
+            (np.abs(start) <= np.finfo(np.float32).max).all(axis=1),
+            "a start o + t_min d not beyond float32, in which Mitsuba traces",
+        ),
     ):
-        if bad.any():
-            i = int(np.argmax(bad))
+        if not good.all():
+            i = int(np.argmin(good))
             raise SceneError(f"{where}: rays[{i}]: expected {expected}, got {rows[i].tolist()}")
-    shifted = line[:, :3].astype(np.float64) + limits[:, :1].astype(np.float64) * line[:, 3:]
-    if not (ok := (np.abs(shifted) <= np.finfo(np.float32).max).all(axis=1)).all():
-        i = int(np.argmin(ok))
-        raise SceneError(f"{where}: rays[{i}]: its start o + t_min d lies beyond float32, in which Mitsuba traces")
     return RayList(rows, width if 0 < width <= MAX_FILM_SIDE else 0)
 
 
@@ -125,9 +126,8 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
     rows[:count] = rays.rows
     camera = Ray(origin=tuple(rows[0, :3].tolist()), direction=tuple(rows[0, 3:6].tolist()))
     film = Film(width=width, height=height)
-    shared = SharedRays(
-        rows[:, :3].copy(), rows[:, 3:6].copy(), rows[:, 7].copy(), np.zeros(len(rows)), rows[:, 6].copy()
-    )
+    o, d, t_min, t_max = (np.ascontiguousarray(columns) for columns in np.split(rows, [3, 6, 7], axis=1))
+    shared = SharedRays(o, d, t_max.ravel(), np.zeros(len(rows)), t_min.ravel())
     return scene.model_copy(update={"film": film, "camera": camera}), shared
 
 
@@ -174,8 +174,8 @@ def answer_of_hits(
     numbers = {name: checked_array(name, arrays[name], shape, -1, whole=True) for name in names if name in arrays}
     if any_hit:
         blocked = numbers["any_hit"]
-        if not np.isin(blocked, (0, 1)).all():
-            i = int(np.argmin(np.isin(blocked, (0, 1))))
+        if (unknown := ~np.isin(blocked, (0, 1))).any():
+            i = int(np.argmax(unknown))
             raise NoAnswer(f"any_hit[{i}]: expected 0 or 1, got {blocked[i]}")
         t = np.where(blocked == 1, 0.0, np.inf)
         return checked_answer(t, None, there, precision=precision or "float64", hits_only=True)

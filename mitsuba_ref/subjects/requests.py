@@ -104,7 +104,7 @@ def parse_candidate(
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
     with error_prefix(f"--candidate{'-serve' if served else ''} {text!r}"):
         if served:
-            return ServedCommand(text, split_command(text, ())[0], precision, seconds)
+            return ServedCommand(text, split_command(text, ()), precision, seconds)
         if FUNCTION_PATTERN.fullmatch(text):
             return import_function(text, precision)
         if not PLACEHOLDER.search(text):
@@ -114,7 +114,7 @@ def parse_candidate(
                 f"expected package.module:function{_function_in(text)}, or a command such as 'my-renderer {{xml}} -o "
                 "{exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
             )
-        words, named = split_command(text, tuple(dict.fromkeys((*PLACEHOLDERS, *RAY_PLACEHOLDERS))))
+        words, named = split_command(text, (*PLACEHOLDERS, *RAY_PLACEHOLDERS)), {*PLACEHOLDER.findall(text)}
         if named & {"rays", "hits", "mesh"}:
             if not {"rays", "hits"} <= named <= set(RAY_PLACEHOLDERS):
                 expected = "{rays}, the file to read, {hits}, that to write, and at most {mesh} and {toml} beside them"

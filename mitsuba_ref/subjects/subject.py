@@ -189,8 +189,7 @@ def packs_identically(part: Any, k: int, packed: Packed) -> bool:
 
 def kept_fields(shape: Shape) -> PrimitiveDescription:
     """Fields that apply to each primitive of a shape, whatever it is described as."""
-    names = {"material", "flip_normals"} & {*type(shape).model_fields}
-    return {name: getattr(shape, name) for name in sorted(names) if getattr(shape, name)}
+    return {name: value for name in ("flip_normals", "material") if (value := getattr(shape, name, None))}
 
 
 def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:

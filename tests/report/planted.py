@@ -109,6 +109,11 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         light_visible=np.zeros((0, count), bool),
         albedo=albedo,
         sensor=np.column_stack([rays.o, rays.d, rays.t_max]),
+        origin=np.zeros((0, 3), np.float32),
+        mesh_corners=np.zeros((0, 3, 8), np.float32),
+        mesh_vertices=np.zeros((0, 3), np.int32),
+        mesh_faces=(),
+        mesh_problems=(),
         versions={"mitsuba": "none", "variant": "scalar, rounded"},
         seconds=0.0,
     )
