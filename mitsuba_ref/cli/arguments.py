@@ -209,8 +209,9 @@ def add_html(add: Callable[..., argparse.Action]) -> None:
 
 def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse.Action]:
     """Add --json, --junit and --summary-md; the function that adds more options to their group."""
-    add = adder(parser.add_argument_group("results"))
-    add("--json", OutputFile, "write the verdict as JSON")
+    group = parser.add_argument_group("results")
+    add = adder(group)
+    add_json(group)
     add("--junit", OutputFile, "write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
     add("--summary-md", OutputFile, help_)
@@ -269,7 +270,7 @@ def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -
     add("--list", bool, f"list the {plural} and stop")
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(parser: argparse._ActionsContainer) -> None:
     adder(parser)("--json", OutputFile, "write the result as JSON; - is standard output, which then holds nothing else")
 
 
@@ -366,9 +367,9 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("-o --output", str, ".npz; with --bounces a folder", metavar="RAYS", required=True)
     help_ = "camera (default), or aimed: features (corners, edges, rims), silhouettes, surface (from surfaces), random"
-    add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS, default="camera")
-    add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
-    add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
+    add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS)
+    add("--count", positive_int, "of rays that are aimed; default 4096")
+    add("--seed", int, "of the random numbers of aimed rays; default 0", metavar="SEED")
     add_bounces(add, "the camera's rays, and the secondary ones of each bounce to this depth, a file each")
 
 

@@ -2,10 +2,9 @@
 
 import argparse
 import itertools
-import sys
 from pathlib import Path
 
-from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 from mitsuba_ref.fuzz import findings
@@ -26,9 +25,8 @@ def run(args: argparse.Namespace) -> int:
     if args.replay is not None:
         return replay(args)
     running = fuzz_run_of(args)
-    if args.examples is not None and not len(args.examples):
-        print("nothing selected: --examples 0 selects no example", file=sys.stderr)
-        return NOTHING_SELECTED
+    if args.examples is not None and not args.examples:
+        raise options.NothingSelected("nothing selected: --examples 0 selects no example")
     if args.judge_every or args.candidate is not None:
         variants.require_variants()  # a wrong choice of variant fails before any work
     line = StatusLine()
@@ -59,8 +57,7 @@ def replay(args: argparse.Namespace) -> int:
     """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
     files = kept_files(args.replay)
     if not files:
-        print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
-        return NOTHING_SELECTED
+        raise options.NothingSelected(f"nothing selected: no scene file in {args.replay}")
     kept = [(str(file), read_kept(file)) for file in files]
     subject = options.requested_candidate(args) or OURS
     replays = [(file, kind, find(case, kind, subject=subject)) for file, (kind, case) in kept]

@@ -17,6 +17,7 @@ from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
+from mitsuba_ref.report.results import STANDARD_OUTPUT
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
@@ -124,7 +125,13 @@ def missing_variants() -> str:
 
 def table_stream(args: argparse.Namespace) -> TextIO:
     """The stream for tables: standard error if the JSON goes to standard output."""
-    return sys.stderr if args.json == "-" else sys.stdout
+    return sys.stderr if args.json == STANDARD_OUTPUT else sys.stdout
+
+
+class NothingSelected(SceneError):  # noqa: N818 - an outcome
+    """The options leave nothing to do, or nothing that can be judged."""
+
+    exit_code = NOTHING_SELECTED
 
 
 def select(items: Sequence[Any], what: str, words: Sequence[str]) -> list[Any]:
@@ -140,13 +147,8 @@ def select(items: Sequence[Any], what: str, words: Sequence[str]) -> list[Any]:
     return [item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words)]
 
 
-def listed(items: Sequence[Any], what: str, args: argparse.Namespace) -> int | None:
-    """The exit code where nothing was selected, or after --list; None: there is work to do."""
-    if not items:
-        print(f"nothing selected: no {what} fits the options", file=sys.stderr)
-        return NOTHING_SELECTED
-    if args.list:
-        width = max(len(item.name) for item in items) + 2
-        print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
-        return OK
-    return None
+def print_list(items: Sequence[Any]) -> int:
+    """Print the names and titles that --list asks for."""
+    width = max(len(item.name) for item in items) + 2
+    print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
+    return OK
