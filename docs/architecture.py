@@ -1,27 +1,21 @@
-"""Figures of the import graph of both packages, and its picture in docs/internals/architecture.md.
+"""The imports of both packages, and their picture in docs/internals/architecture.md.
 
-    python docs/architecture.py     # prints the figures and renews the picture
+    python docs/architecture.py     # renews the picture
 
 It needs only the standard library. A module imports another one by an import statement at any depth (also in a
 function or under TYPE_CHECKING), by import_module("literal"), or by import_module of a name taken
 from a literal of the same module, as registries do. Importing a.b does not count as importing the package a.
-
-Modules with exactly one importer could be part of that importer. Plain members of a registry, which only
-the `__init__` of their own package imports, are left out: a registry is the reason for a file of their own.
 """
 
 import ast
-import json
-from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/internals/architecture.md"
 ROOT_PACKAGES = ("caster", "mitsuba_ref")
-MODULES_OF_PACKAGE = 12  # beside sub-packages and __init__
 
 # The packages in the order of the flow of data: each imports only what stands before it. Captions are for the picture.
 FLOW = {
@@ -166,29 +160,6 @@ def circle(graph: Graph) -> tuple[str, ...]:
     return ()
 
 
-def layers(graph: Graph) -> int:
-    """The most modules on a chain of imports in a graph without circles."""
-    layer: dict[str, int] = {}
-    for module in TopologicalSorter(graph).static_order():
-        layer[module] = 1 + max((layer[target] for target in graph[module]), default=0)
-    return max(layer.values(), default=0)
-
-
-# --- figures
-
-
-def figures(root: Path = ROOT) -> dict[str, Any]:
-    """Number of files, packages that are too large, layers of packages, and modules with exactly one importer."""
-    sources = read_sources(root)
-    graph = graph_of(sources)
-    return {
-        "files": len(sources),
-        "crowded_packages": crowded_packages(sources, root),
-        "package_layers": layers(graph_of_packages(graph)),
-        "one_importer": modules_with_one_importer(graph),
-    }
-
-
 def package_of(module: str) -> str:
     """The package of FLOW that a module is part of; "" for the root packages themselves."""
     package = ".".join(module.split(".")[:2])
@@ -201,27 +172,12 @@ def graph_of_packages(graph: Graph) -> dict[str, frozenset[str]]:
     return {package: frozenset(b for a, b in pairs if a == package != b and b) for package in FLOW}
 
 
-def modules_with_one_importer(graph: Graph) -> list[str]:
-    """Without plain members of a registry, whose only importer is their own package."""
-    importers = defaultdict(set)
-    for module, targets in graph.items():
-        for target in targets:
-            importers[target].add(module)
-    return [module for module, by in sorted(importers.items()) if len(by) == 1 and by != {module.rpartition(".")[0]}]
-
-
-def crowded_packages(sources: Iterable[Source], root: Path) -> dict[str, int]:
-    """Packages with more modules beside sub-packages than MODULES_OF_PACKAGE."""
-    counts = Counter(source.path.parent.relative_to(root).as_posix() for source in sources if not source.is_package)
-    return {folder: count for folder, count in sorted(counts.items()) if count > MODULES_OF_PACKAGE}
-
-
 # --- the picture
 
 
-def picture(root: Path = ROOT) -> str:
+def picture(sources: Iterable[Source]) -> str:
     """The packages as a Mermaid graph: an arrow for what each imports, unless other arrows lead there as well."""
-    graph = graph_of_packages(graph_of(read_sources(root)))
+    graph = graph_of_packages(graph_of(sources))
     reached: dict[str, set[str]] = {}
     for package in FLOW:  # each imports only what stands before it
         reached[package] = set(graph[package]).union(*(reached.get(each, set()) for each in graph[package]))
@@ -234,15 +190,14 @@ def picture(root: Path = ROOT) -> str:
     return "\n".join(["```mermaid", *lines, "```"])
 
 
-def with_picture(page: str) -> str:
+def with_picture(page: str, sources: Iterable[Source]) -> str:
     """The page with the picture in place of the one in it."""
     before, _, rest = page.partition("```mermaid\n")
-    return before + picture() + rest.partition("```")[2]
+    return before + picture(sources) + rest.partition("```")[2]
 
 
 def main() -> None:
-    PAGE.write_text(with_picture(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    print(json.dumps(figures(), indent=1))
+    PAGE.write_text(with_picture(PAGE.read_text(encoding="utf-8"), read_sources()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""Make the pictures of docs/report.md: python docs/report/screenshots.py [FOLDER | INDEX.html | --candidate]
+"""Make the pictures of docs/report.md and docs/candidates.md: python docs/report/screenshots.py [INDEX.html NAME PLACE]
 
-All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
-INDEX.html NAME PLACE: one picture of it, such as quick-start '#s=scan-size-1e-3&x=21&y=2&v=class'.
---candidate makes the picture of docs/candidates.md: the textbook caster inside a sphere.
+For report.md all scenes are judged, one with a fault that is planted; for candidates.md the textbook caster inside a
+sphere. INDEX.html NAME PLACE: one picture of a report, such as quick-start '#s=scan-size-1e-3&x=21&y=2&v=class'.
 """
 
 import shutil
@@ -53,15 +52,13 @@ OF_CANDIDATE = (
 
 
 def main() -> None:
-    if sys.argv[1:] == ["--candidate"]:
-        shoot(candidate_report_into(Path(tempfile.mkdtemp())), OF_CANDIDATE)
+    if len(sys.argv) > 1:
+        index, name, place = sys.argv[1:]
+        shoot(Path(index), [(name, place, WIDE, "light", "")])
         return
-    if len(sys.argv) > 1 and Path(sys.argv[1]).is_file():
-        named = sys.argv[2:4]
-        shoot(Path(sys.argv[1]), [(named[0], named[1], WIDE, "light", "")] if named else SHOTS)
-        return
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
-    shoot(report_into(folder))
+    folder = Path(tempfile.mkdtemp())
+    shoot(report_into(folder / "scenes"), SHOTS)
+    shoot(candidate_report_into(folder / "candidate"), OF_CANDIDATE)
 
 
 def report_into(folder: Path) -> Path:
@@ -111,7 +108,7 @@ _faulty = load_scene(SCENES / f"{FAULTY}.toml")
 FAULTY_SCENE = (_faulty.film.width, _faulty.film.height, len(_faulty.shapes))
 
 
-def shoot(index: Path, shots: Sequence[Shot] = SHOTS) -> None:
+def shoot(index: Path, shots: Sequence[Shot]) -> None:
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         for shot in shots:
