@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from caster.system.terminal import folded
-from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN
 from mitsuba_ref.judge.verdict import AGREE, FAILING, UNLISTED, json_number
 from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_lines
 
@@ -115,7 +114,7 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
         yield found.problem
         return
     yield "\nwho is right"
-    yield from _exact_lines(found.exact)
+    yield f"  exact: {found.exact.get('text', 'no answer')}"
     yield from witness_lines(found.witnesses)
     yield from (f"  note: {note}" for note in (found.candidate.notes if found.candidate else ()))
     if found.path is not None:
@@ -166,20 +165,6 @@ def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
     theirs = found.candidate.says if found.candidate is not None else {}
     sides = {"ours": found.ours[name], "reference": found.reference[name]}
     return sides | ({"candidate": theirs[name]} if name in theirs else {})
-
-
-def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
-    """What is hit exactly, and the other intersections of the ray."""
-    if not exact:
-        yield "  exact: no answer"
-        return
-    yield f"  exact: t {exact['t']!r}  {exact['t'].hex()}" if exact["hit"] else "  exact: miss"
-    for tie in exact["ties"][:MAX_TIES_SHOWN]:
-        yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
-    if len(exact["ties"]) > MAX_TIES_SHOWN:
-        yield f"         and {len(exact['ties']) - MAX_TIES_SHOWN} more at the same t (--json lists them)"
-    if exact["flags"]:
-        yield f"         on the way: {', '.join(exact['flags'])}"
 
 
 def _value_lines(name: str, value: Any) -> Iterator[str]:
