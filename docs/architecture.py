@@ -3,8 +3,8 @@
     python docs/architecture.py     # renews the picture
 
 It needs only the standard library. A module imports another one by an import statement at any depth (also in a
-function or under TYPE_CHECKING), by import_module("literal"), or by import_module of a name taken
-from a literal of the same module, as registries do. Importing a.b does not count as importing the package a.
+function or under TYPE_CHECKING), or by import_module("literal"). Importing a.b does not count as importing the package
+a.
 """
 
 import ast
@@ -100,7 +100,8 @@ def imports_of(tree: ast.Module, package: str) -> Iterator[Import]:
             source = absolute(node, package)
             yield from (Import(f"{source}.{alias.name}", source, node.lineno) for alias in node.names)
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
-            yield from (Import(name, name, node.lineno) for name in imported_by_name(node, tree, package))
+            names = [str(each.value) for each in node.args[:1] if isinstance(each, ast.Constant)]
+            yield from (Import(name, name, node.lineno) for name in names)
 
 
 def absolute(node: ast.ImportFrom, package: str) -> str:
@@ -109,23 +110,6 @@ def absolute(node: ast.ImportFrom, package: str) -> str:
         return node.module or ""
     parents = package.split(".")[: len(package.split(".")) - node.level + 1]
     return ".".join([*parents, *([node.module] if node.module else [])])
-
-
-def imported_by_name(call: ast.Call, tree: ast.Module, package: str) -> Iterator[str]:
-    """What a call of import_module may load: its literal, or a prefix with each string in a literal of the file."""
-    argument = call.args[0] if call.args else ast.Constant("")
-    if isinstance(argument, ast.Constant):
-        yield str(argument.value)
-        return
-    prefix = ""
-    if isinstance(argument, ast.JoinedStr):
-        first = argument.values[0]
-        prefix = str(first.value) if isinstance(first, ast.Constant) else f"{package}."
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.Tuple, ast.List, ast.Set, ast.Dict)):
-            for each in (*ast.iter_child_nodes(node),):
-                if isinstance(each, ast.Constant) and isinstance(each.value, str):
-                    yield prefix + each.value
 
 
 # --- the graph

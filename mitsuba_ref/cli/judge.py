@@ -16,7 +16,7 @@ from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
-from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_original, table_stream
+from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_original, refuse, table_stream
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard import rays
@@ -49,10 +49,10 @@ AIMED_RAYS = 4096  # by default
 def run_rays(args: argparse.Namespace) -> int:
     """Write the rays and print their number."""
     kind = args.kind or CAMERA
-    if args.bounces and args.kind:
-        raise SceneError(f"--kind {kind}: not together with --bounces, whose first rays are the camera's")
-    for option in given_words(args, "count", "seed")[:1] if kind == CAMERA else ():
-        raise SceneError(f"{option}: expected --kind of aimed rays beside it")
+    if args.bounces:
+        refuse(args, "not together with --bounces, whose first rays are the camera's", "kind")
+    if kind == CAMERA:
+        refuse(args, "expected --kind of aimed rays beside it", "count", "seed")
     scene = load_scene_or_original(args)
     if args.bounces:
         return write_bounces(scene, args)
@@ -70,9 +70,7 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
     """Write bounce-0.npz, the camera's rays, and bounce-1.npz ..., whose `parent` counts in the file before."""
     folder = check_folder(args.output)
     rows, pixels = camera_rows(scene)
-    first = trace_rays(
-        scene, packed_float32(scene), validated_rays(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]), rows[:, 6]
-    )
+    first = trace_rays(scene, packed_float32(scene), validated_rays(*batch_of(rows)), rows[:, 6])
     write_rays(folder / "bounce-0.npz", RayList(rows.astype(np.float32)), pixels=pixels)
     for bounce in bounces(first, args.bounces):
         rays = bounce.rays
@@ -81,6 +79,10 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
         write_rays(path, listed, parent=rays.parent, kind=rays.kind, pixels=pixels[rays.pixel])
         print(f"{path}: {len(rays.kind)} rays")
     return OK
+
+
+def batch_of(rows: Array) -> rays.RayBatch:
+    return rays.RayBatch(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7])
 
 
 def camera_rows(scene: Scene) -> tuple[Array, Array]:
@@ -136,9 +138,7 @@ def check_arrays(hits: Mapping[str, Array], count: int, where: str) -> None:
 
 def run_spawned(args: argparse.Namespace) -> int:
     """Judge the origins and print their errors; 0 none, 1 some or no answer, 5 nothing to judge."""
-    for name in ("hits", "html", "junit", "summary_md", "row", "precision"):
-        if getattr(args, name) is not None:
-            raise SceneError(f"--{name.replace('_', '-')}: not together with --spawned")
+    refuse(args, "not together with --spawned", "hits", "html", "junit", "summary_md", "row", "precision")
     try:
         named = args.spawn in (None, MITSUBA, *RULES)
         found = judge_origins(by_rule(listed_rays(args), args.spawn if named else spawn_rule(args.spawn)))
@@ -175,7 +175,7 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
         raise SceneError(f"{args.spawned}: parent[{bad[0]}]: expected {known}, got {int(parent[bad[0]])}")
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
-    lines = rays.RayBatch(parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7])
+    lines = batch_of(parents[used])
     answers = Oracle(packed).first_hits(*lines)
     prim = np.array([answer.prim for answer in answers], np.int64)
     t = np.array([answer.distance for answer in answers])

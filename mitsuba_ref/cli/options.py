@@ -53,8 +53,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     takes_rays: one that renders images of its own camera cannot.
     """
     if args.candidate is None:
-        for word in given_words(args, "candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)[:1]:
-            raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
+        refuse(args, "expected --candidate X beside it, whose answers it is about", *CANDIDATE_OPTIONS)
         return None
     served, seconds = isinstance(args.candidate, ServedProgram), args.candidate_timeout or CANDIDATE_SECONDS
     found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
@@ -69,19 +68,18 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
         return replace(found, takes_limits=not args.no_limits)
     if isinstance(found, CommandSubject | ExrFile):
         return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
-    for word in given_words(args, *READING_OPTIONS)[:1]:
-        raise SceneError(
-            f"{word}: expected a --candidate with {{exr}} beside it, or an .exr file, whose image it is about"
-        )
+    why = "expected a --candidate with {exr} beside it, or an .exr file, whose image it is about"
+    refuse(args, why, *READING_OPTIONS)
     return found
 
 
 READING_OPTIONS = ("map", "depth", "miss")  # of add_reading
+CANDIDATE_OPTIONS = ("candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)  # beside --candidate
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
     """The options of the candidate, for a replay with the same one; () without one."""
-    return given_words(args, "candidate", "candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)
+    return given_words(args, "candidate", *CANDIDATE_OPTIONS)
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
@@ -97,6 +95,12 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
             words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
             check_utf8_name(words[-1])
     return tuple(words)
+
+
+def refuse(args: argparse.Namespace, why: str, *names: str) -> None:
+    """Raise SceneError where one of these options was given."""
+    for option in given_words(args, *names)[:1]:
+        raise SceneError(f"{option}: {why}")
 
 
 def reading_of(args: argparse.Namespace) -> Reading:

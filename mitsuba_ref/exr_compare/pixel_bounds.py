@@ -123,11 +123,6 @@ class ExrPair(NamedTuple):
         """(h, w) bool: where at least one image hits."""
         return np.asarray(self.hit_ours | self.hit_reference)
 
-    @property
-    def same_mask(self) -> Array:
-        """(h, w) bool: where both images hit or both miss."""
-        return np.asarray(self.hit_ours == self.hit_reference)
-
 
 def bound_of(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Bound:
     """The bound of one quantity: the given tolerance, else the derived one, else the plain one."""

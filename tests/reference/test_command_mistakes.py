@@ -78,7 +78,7 @@ MISTAKES = [
         "2 images: 0 pass, 2 fail",
     ),
     ("mitsuba-ref compare a.exr .", 2, "expected two files, or two folders; only . is a folder"),
-    ("mitsuba-ref rays scene.toml --kind random --bounces 1 -o r", 2, "--kind random: not together with --bounces"),
+    ("mitsuba-ref rays scene.toml --kind random --bounces 1 -o r", 2, "--kind: not together with --bounces"),
     ("mitsuba-ref rays scene.toml --count 9 --bounces 1 -o r", 2, "--count: expected --kind of aimed rays beside it"),
     ("mitsuba-ref compare . empty", 5, "nothing selected: no .exr file in empty"),
     ("mitsuba-ref validate scene.toml -k 'tea and'", 2, "-k 'tea and': expected parts of names with and, or, not"),
