@@ -94,8 +94,8 @@ def numbers(text: str) -> range:
 METAVARS.update({whole: "N", seconds: "TIME"})
 
 
-def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> None:
-    """Add scenes, -k, --size and --mesh-dir, and -j."""
+def add_selection(parser: argparse.ArgumentParser) -> None:
+    """Add scenes, -k, --size and --mesh-dir."""
     group = parser.add_argument_group("scenes")
     add = adder(group)
     add(
@@ -119,8 +119,6 @@ def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> N
     add("-k", str, "scenes whose name fits, such as 'mesh and not teapot'", metavar="EXPRESSION", dest="expression")
     add("--size", int, "film in pixels, instead of the scenes' own", nargs=2, metavar=("W", "H"))
     add_mesh_dirs(group)
-    if workers:
-        add_workers(adder(parser), "scenes")
 
 
 def add_opening(parser: argparse._ActionsContainer) -> None:
@@ -273,6 +271,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add_opening(parser)
     add = adder(parser)
+    add_workers(add, "scenes")
     add("--shard", shard, "judge part I of N of the scenes", metavar="I/N")
     add_engine(add)
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
@@ -319,7 +318,7 @@ def shard(text: str) -> Shard:
 
 
 def add_versions_arguments(parser: argparse.ArgumentParser) -> None:
-    add_selection(parser, workers=False)
+    add_selection(parser)
     add_reference(parser, several=True)
     add_timeout(parser)
     add_json(parser)

@@ -62,7 +62,7 @@ def run_stress(args: argparse.Namespace) -> int:
     done, line = list[SweepResult | OriginSweep](), StatusLine()
     words = options.candidate_words(args)
     about = args.seed, args.rays, args.out, candidate, words, args.spawn
-    calls = ((family.name, *about) for family in families)
+    calls = ((family, *about) for family in families)
     here = args.engine == LOCAL and (candidate or args.spawn)  # it runs in this process, alone
     limit = CALL_TIMEOUTS * DEFAULT_TIMEOUT
     try:
@@ -93,7 +93,7 @@ def run_stress(args: argparse.Namespace) -> int:
 
 
 def sweep_family(
-    name: str,
+    family: Family,
     seed: int,
     rays: int | None,
     folder: str,
@@ -102,7 +102,6 @@ def sweep_family(
     spawn: str | None,
 ) -> SweepResult | OriginSweep:
     """Sweep a family in this process."""
-    (family,) = (each for each in (*SWEPT, *SPAWNED) if each.name == name)
     if family.spawns:
         return origins.sweep_origins(family, seed, rays, Path(folder), spawn_rule(spawn) if spawn else None)
     return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
@@ -160,7 +159,11 @@ def run_bench(args: argparse.Namespace) -> int:
             print(f"{as_text(result)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         recorded["threads"] = threads or int(machine[CORES].partition(" ")[0])
-        report_run(Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done)), args)
+        run = Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done))
+        if args.json:
+            write_result(run, args.json)
+        text = f"{overview_text(run)}\n\n{options.missing_variants()}{summary(run)}"
+        print(text, file=options.table_stream(args))
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
@@ -211,13 +214,6 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     if not chosen:
         raise options.NothingSelected("nothing selected: no scene fits the options")
     return chosen
-
-
-def report_run(done: Run, args: argparse.Namespace) -> None:
-    """Write the JSON file, if any, and print the overview table and a last line."""
-    if args.json:
-        write_result(done, args.json)
-    print(f"{overview_text(done)}\n\n{options.missing_variants()}{summary(done)}", file=options.table_stream(args))
 
 
 # ---- versions ----

@@ -24,10 +24,16 @@ def run(args: argparse.Namespace) -> int:
     """Fuzz; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
-    running = fuzz_run_of(args)
+    families = options.select(FAMILIES, "family", args.family)
+    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
+    examples = itertools.count() if args.examples is None else args.examples
+    names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
+    drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
+    about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
+    running = FuzzRun(drawing, examples, limit, *about)
     if args.examples is not None and not args.examples:
         raise options.NothingSelected("nothing selected: --examples 0 selects no example")
-    if args.judge_every or args.candidate is not None:
+    if args.judge_every or candidate:
         variants.require_variants()  # a wrong choice of variant fails before any work
     line = StatusLine()
     try:
@@ -40,17 +46,6 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             write_result(running.outcome, args.json)
     return OK if running.outcome.ok else DIFFERENCES
-
-
-def fuzz_run_of(args: argparse.Namespace) -> FuzzRun:
-    """The run that the options ask for. Raises SceneError for an unknown family or candidate."""
-    families = options.select(FAMILIES, "family", args.family)
-    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
-    examples = itertools.count() if args.examples is None else args.examples
-    names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
-    drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
-    about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
-    return FuzzRun(drawing, examples, limit, *about)
 
 
 def replay(args: argparse.Namespace) -> int:

@@ -126,10 +126,13 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
         yield from _value_lines(name, value)
     yield "\nt, in lengths of d"
     yield from t_lines(found.witnesses)
+    sides: dict[str, Mapping[str, Any]] = {"ours": found.ours, "reference": found.reference}
+    sides |= {"candidate": found.candidate.says} if found.candidate else {}
     for name in [name for name in found.ours if name not in ("shape", "t")]:
         yield f"\n{name}"
-        for who, value in _sides(found, name).items():
-            yield from _value_lines(who, value)
+        for who, values in sides.items():
+            if name in values:
+                yield from _value_lines(who, values[name])
     yield "\nshare of each bound that our error uses"
     for name, ratio in found.ratios.items():
         yield f"  {name:<16}{ratio:.3g}" if math.isfinite(ratio) else f"  {name:<16}no bound allows this"
@@ -158,13 +161,6 @@ def _head(found: PixelVerdict, path: str) -> Iterator[str]:
     yield f"why:       {first}"
     yield from (f"           {line}" for line in rest)
     yield f"ours:      {found.verdict}: {found.why}"
-
-
-def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
-    """One quantity by each side."""
-    theirs = found.candidate.says if found.candidate is not None else {}
-    sides = {"ours": found.ours[name], "reference": found.reference[name]}
-    return sides | ({"candidate": theirs[name]} if name in theirs else {})
 
 
 def _value_lines(name: str, value: Any) -> Iterator[str]:

@@ -39,27 +39,24 @@ def table_head(width: int) -> str:
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
-    first = mark_of(scene), printable(scene.name, keep=""), width
-    cells = row_cells(scene)
-    row, below = _line(*first, cells), [*scene.notes] if scene.bounce else []
-    if len(row) > LINE_CHARACTERS:
-        row, below = _line(*first, cells[:-1]), [cells[-1], *below]
-    lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)
-    return "\n".join([row, *chain.from_iterable(lines)])
+    """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own.
 
-
-def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
-    """Pixels that hit and that agree, their largest error over its bound, seconds or "kept" for a result of an earlier
-    run, and the other classes that occur."""
+    Instead of seconds, a result of an earlier run has "kept".
+    """
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
     classes = [f"{count} {name}" for name, count in spoken_counts(scene).items() if name != AGREE]
     covered = [scene.coverage.brief] if scene.coverage and scene.coverage.partial else []
-    others = ", ".join([*covered, *classes])
+    others = ", ".join([*covered, *classes]) or ("no answer" if scene.problem else "")
     pixels = ("-", "-") if scene.problem else (str(scene.hit_pixels), str(scene.counts[AGREE]))
-    return *pixels, worst, seconds, others or ("no answer" if scene.problem else "")
+    first = mark_of(scene), printable(scene.name, keep=""), width
+    numbers = *pixels, worst, seconds
+    row, below = _line(*first, (*numbers, others)), [*scene.notes] if scene.bounce else []
+    if len(row) > LINE_CHARACTERS:
+        row, below = _line(*first, numbers), [others, *below]
+    lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)
+    return "\n".join([row, *chain.from_iterable(lines)])
 
 
 def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
