@@ -28,6 +28,7 @@ from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import CODES, SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import (
+    broken_checks,
     counts_shown,
     failing_checks,
     failure_text,
@@ -195,7 +196,7 @@ SAME_AS_VERDICT = ("name", "path", "ok", "size", "hit_pixels", "failing", "adjud
 
 def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
     """One scene of the index. thumbnail: None for a scene without a record in the folder data."""
-    broken = [(check.name, check.ratio) for check in verdict.checks if not check.ok]
+    broken = [(check.name, check.ratio) for check in broken_checks(verdict)]
     failed = [(failure.check, failure.ratio) for failure in verdict.failures]
     check, ratio = [*failed, *broken, verdict.worst][0]
     return {name: getattr(verdict, name) for name in SAME_AS_VERDICT} | {
