@@ -17,40 +17,40 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/internals/architecture.md"
 ROOT_PACKAGES = ("caster", "mitsuba_ref")
 
-# The packages in the order of the flow of data: each imports only what stands before it. Captions are for the picture.
-FLOW = {
-    "caster.jit": "compilation and kernel cache",
-    "caster.kernels": "intersection in float64 and exactly",
-    "caster.aovs": "AOVs and their registry",
-    "caster.description": "fields, transforms, diagnostics",
-    "caster.system": "files, terminal, signals",
-    "caster.geometry": "meshes, world space, packing",
-    "caster.shapes": "one file a kind",
-    "caster.cameras": "one file a kind",
-    "caster.scene": "model, files, export",
-    "caster.rendering": "plan, tiles, hits, AOVs",
-    "caster.image": "EXR files and previews",
-    "caster.classroom": "scenes of a course",
-    "caster.cli": "caster COMMAND",
-    "mitsuba_ref.oracle": "exact first hits",
-    "mitsuba_ref.error_model": "bounds and tolerances",
-    "mitsuba_ref.scene_xml": "Mitsuba's XML",
-    "mitsuba_ref.shapes": "XML, bounds, exactness of a kind",
-    "mitsuba_ref.cameras": "XML and rays of a kind",
-    "mitsuba_ref.hard": "hard scenes and rays",
-    "mitsuba_ref.reference": "Mitsuba in a child process",
-    "mitsuba_ref.subjects": "who is judged",
-    "mitsuba_ref.judge": "the class of each pixel",
-    "mitsuba_ref.report": "text, JUnit, images, HTML",
-    "mitsuba_ref.probe": "one pixel, all witnesses",
-    "mitsuba_ref.exr_compare": "two EXR files",
-    "mitsuba_ref.runner": "many scenes, shards, pytest",
-    "mitsuba_ref.fuzz": "random scenes",
-    "mitsuba_ref.stress": "hard numerics, in steps",
-    "mitsuba_ref.campaign": "many units, with a history",
-    "mitsuba_ref.bench": "speed",
-    "mitsuba_ref.cli": "mitsuba-ref COMMAND",
-}
+# The packages in the order of the flow of data: each imports only what stands before it.
+FLOW = (
+    "caster.jit",
+    "caster.kernels",
+    "caster.aovs",
+    "caster.description",
+    "caster.system",
+    "caster.geometry",
+    "caster.shapes",
+    "caster.cameras",
+    "caster.scene",
+    "caster.rendering",
+    "caster.image",
+    "caster.classroom",
+    "caster.cli",
+    "mitsuba_ref.oracle",
+    "mitsuba_ref.error_model",
+    "mitsuba_ref.scene_xml",
+    "mitsuba_ref.shapes",
+    "mitsuba_ref.cameras",
+    "mitsuba_ref.hard",
+    "mitsuba_ref.reference",
+    "mitsuba_ref.subjects",
+    "mitsuba_ref.judge",
+    "mitsuba_ref.report",
+    "mitsuba_ref.probe",
+    "mitsuba_ref.exr_compare",
+    "mitsuba_ref.runner",
+    "mitsuba_ref.fuzz",
+    "mitsuba_ref.stress",
+    "mitsuba_ref.campaign",
+    "mitsuba_ref.bench",
+    "mitsuba_ref.cli",
+)
 
 Graph = Mapping[str, frozenset[str]]  # module -> modules it imports
 
@@ -166,7 +166,6 @@ def picture(sources: Iterable[Source]) -> str:
     for package in FLOW:  # each imports only what stands before it
         reached[package] = set(graph[package]).union(*(reached.get(each, set()) for each in graph[package]))
     lines = ["flowchart TD"]
-    lines += [f'    {package}["{package}<br>{caption}"]' for package, caption in FLOW.items()]
     for package in FLOW:
         for target in sorted(graph[package]):
             if not any(target in reached[other] for other in graph[package] if other != target):

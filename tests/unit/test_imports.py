@@ -42,7 +42,7 @@ MADE_BY = ("generic", "generic_inlined", "implement", "inlined", "jit", "optiona
 MAKE_KERNELS = tuple(f"{NUMBA_DOOR}.{name}" for name in MADE_BY)
 
 # Both packages in the order of the flow of data: each imports what stands before it.
-FLOW = tuple(architecture.FLOW)
+FLOW = architecture.FLOW
 
 
 class Rule(NamedTuple):
