@@ -70,10 +70,6 @@ class Source(NamedTuple):
     path: Path
     imports: tuple[Import, ...]
 
-    @property
-    def is_package(self) -> bool:
-        return self.path.name == "__init__.py"
-
 
 def read_sources(root: Path = ROOT) -> list[Source]:
     """All files of the root packages, sorted by path."""

@@ -95,7 +95,7 @@ def compare_exr(
         height=height,
         hit_ours=int(pair.hit_ours.sum()),
         hit_reference=int(pair.hit_reference.sum()),
-        hit_either=int(pair.hit_either.sum()),
+        hit_either=int((pair.hit_ours | pair.hit_reference).sum()),
         hit_channel=pair.mask_channel,
         differing_pixels=bad,
         allowed_pixels=tolerances.max_pixels,
@@ -141,7 +141,7 @@ def _channels(arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
 def _is_empty(pair: ExrPair) -> bool:
     """Whether nothing was hit; without a mask channel, whether every number of both images is 0."""
     if pair.mask_channel:
-        return not pair.hit_either.any()
+        return not (pair.hit_ours | pair.hit_reference).any()
     return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
 
 
