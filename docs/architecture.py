@@ -1,62 +1,56 @@
-"""Figures of the import graph of both packages, and its picture in docs/internals/architecture.md.
+"""The imports of both packages, and their picture in docs/internals/architecture.md.
 
-    python docs/architecture.py     # prints the figures and renews the picture
+    python docs/architecture.py     # renews the picture
 
 It needs only the standard library. A module imports another one by an import statement at any depth (also in a
-function or under TYPE_CHECKING), by import_module("literal"), or by import_module of a name taken
-from a literal of the same module, as registries do. Importing a.b does not count as importing the package a.
-
-Modules with exactly one importer could be part of that importer. Plain members of a registry, which only
-the `__init__` of their own package imports, are left out: a registry is the reason for a file of their own.
+function or under TYPE_CHECKING), or by import_module("literal"). Importing a.b does not count as importing the package
+a.
 """
 
 import ast
-import json
-from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/internals/architecture.md"
 ROOT_PACKAGES = ("caster", "mitsuba_ref")
-MODULES_OF_PACKAGE = 12  # beside sub-packages and __init__
 
-# The packages in the order of the flow of data: each imports only what stands before it. Captions are for the picture.
-FLOW = {
-    "caster.jit": "compilation and kernel cache",
-    "caster.kernels": "intersection in float64 and exactly",
-    "caster.aovs": "AOVs and their registry",
-    "caster.description": "fields, transforms, diagnostics",
-    "caster.system": "files, terminal, signals",
-    "caster.geometry": "meshes, world space, packing",
-    "caster.shapes": "one file a kind",
-    "caster.cameras": "one file a kind",
-    "caster.scene": "model, files, export",
-    "caster.rendering": "plan, tiles, hits, AOVs",
-    "caster.image": "EXR files and previews",
-    "caster.classroom": "scenes of a course",
-    "caster.cli": "caster COMMAND",
-    "mitsuba_ref.oracle": "exact first hits",
-    "mitsuba_ref.error_model": "bounds and tolerances",
-    "mitsuba_ref.scene_xml": "Mitsuba's XML",
-    "mitsuba_ref.shapes": "XML, bounds, exactness of a kind",
-    "mitsuba_ref.cameras": "XML and rays of a kind",
-    "mitsuba_ref.hard": "hard scenes and rays",
-    "mitsuba_ref.reference": "Mitsuba in a child process",
-    "mitsuba_ref.subjects": "who is judged",
-    "mitsuba_ref.judge": "the class of each pixel",
-    "mitsuba_ref.report": "text, JUnit, images, HTML",
-    "mitsuba_ref.probe": "one pixel, all witnesses",
-    "mitsuba_ref.exr_compare": "two EXR files",
-    "mitsuba_ref.runner": "many scenes, shards, pytest",
-    "mitsuba_ref.fuzz": "random scenes",
-    "mitsuba_ref.stress": "hard numerics, in steps",
-    "mitsuba_ref.campaign": "many units, with a history",
-    "mitsuba_ref.bench": "speed",
-    "mitsuba_ref.cli": "mitsuba-ref COMMAND",
-}
+# The packages in the order of the flow of data: each imports only what stands before it.
+FLOW = (
+    "caster.jit",
+    "caster.kernels",
+    "caster.aovs",
+    "caster.description",
+    "caster.system",
+    "caster.geometry",
+    "caster.shapes",
+    "caster.cameras",
+    "caster.scene",
+    "caster.rendering",
+    "caster.image",
+    "caster.classroom",
+    "caster.cli",
+    "mitsuba_ref.oracle",
+    "mitsuba_ref.error_model",
+    "mitsuba_ref.scene_xml",
+    "mitsuba_ref.shapes",
+    "mitsuba_ref.cameras",
+    "mitsuba_ref.hard",
+    "mitsuba_ref.reference",
+    "mitsuba_ref.subjects",
+    "mitsuba_ref.judge",
+    "mitsuba_ref.report",
+    "mitsuba_ref.probe",
+    "mitsuba_ref.exr_compare",
+    "mitsuba_ref.runner",
+    "mitsuba_ref.fuzz",
+    "mitsuba_ref.stress",
+    "mitsuba_ref.campaign",
+    "mitsuba_ref.bench",
+    "mitsuba_ref.cli",
+)
 
 Graph = Mapping[str, frozenset[str]]  # module -> modules it imports
 
@@ -75,10 +69,6 @@ class Source(NamedTuple):
     module: str  # dotted; a package for its __init__.py
     path: Path
     imports: tuple[Import, ...]
-
-    @property
-    def is_package(self) -> bool:
-        return self.path.name == "__init__.py"
 
 
 def read_sources(root: Path = ROOT) -> list[Source]:
@@ -106,7 +96,8 @@ def imports_of(tree: ast.Module, package: str) -> Iterator[Import]:
             source = absolute(node, package)
             yield from (Import(f"{source}.{alias.name}", source, node.lineno) for alias in node.names)
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
-            yield from (Import(name, name, node.lineno) for name in imported_by_name(node, tree, package))
+            names = [str(each.value) for each in node.args[:1] if isinstance(each, ast.Constant)]
+            yield from (Import(name, name, node.lineno) for name in names)
 
 
 def absolute(node: ast.ImportFrom, package: str) -> str:
@@ -115,23 +106,6 @@ def absolute(node: ast.ImportFrom, package: str) -> str:
         return node.module or ""
     parents = package.split(".")[: len(package.split(".")) - node.level + 1]
     return ".".join([*parents, *([node.module] if node.module else [])])
-
-
-def imported_by_name(call: ast.Call, tree: ast.Module, package: str) -> Iterator[str]:
-    """What a call of import_module may load: its literal, or a prefix with each string in a literal of the file."""
-    argument = call.args[0] if call.args else ast.Constant("")
-    if isinstance(argument, ast.Constant):
-        yield str(argument.value)
-        return
-    prefix = ""
-    if isinstance(argument, ast.JoinedStr):
-        first = argument.values[0]
-        prefix = str(first.value) if isinstance(first, ast.Constant) else f"{package}."
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.Tuple, ast.List, ast.Set, ast.Dict)):
-            for each in (*ast.iter_child_nodes(node),):
-                if isinstance(each, ast.Constant) and isinstance(each.value, str):
-                    yield prefix + each.value
 
 
 # --- the graph
@@ -166,29 +140,6 @@ def circle(graph: Graph) -> tuple[str, ...]:
     return ()
 
 
-def layers(graph: Graph) -> int:
-    """The most modules on a chain of imports in a graph without circles."""
-    layer: dict[str, int] = {}
-    for module in TopologicalSorter(graph).static_order():
-        layer[module] = 1 + max((layer[target] for target in graph[module]), default=0)
-    return max(layer.values(), default=0)
-
-
-# --- figures
-
-
-def figures(root: Path = ROOT) -> dict[str, Any]:
-    """Number of files, packages that are too large, layers of packages, and modules with exactly one importer."""
-    sources = read_sources(root)
-    graph = graph_of(sources)
-    return {
-        "files": len(sources),
-        "crowded_packages": crowded_packages(sources, root),
-        "package_layers": layers(graph_of_packages(graph)),
-        "one_importer": modules_with_one_importer(graph),
-    }
-
-
 def package_of(module: str) -> str:
     """The package of FLOW that a module is part of; "" for the root packages themselves."""
     package = ".".join(module.split(".")[:2])
@@ -201,32 +152,16 @@ def graph_of_packages(graph: Graph) -> dict[str, frozenset[str]]:
     return {package: frozenset(b for a, b in pairs if a == package != b and b) for package in FLOW}
 
 
-def modules_with_one_importer(graph: Graph) -> list[str]:
-    """Without plain members of a registry, whose only importer is their own package."""
-    importers = defaultdict(set)
-    for module, targets in graph.items():
-        for target in targets:
-            importers[target].add(module)
-    return [module for module, by in sorted(importers.items()) if len(by) == 1 and by != {module.rpartition(".")[0]}]
-
-
-def crowded_packages(sources: Iterable[Source], root: Path) -> dict[str, int]:
-    """Packages with more modules beside sub-packages than MODULES_OF_PACKAGE."""
-    counts = Counter(source.path.parent.relative_to(root).as_posix() for source in sources if not source.is_package)
-    return {folder: count for folder, count in sorted(counts.items()) if count > MODULES_OF_PACKAGE}
-
-
 # --- the picture
 
 
-def picture(root: Path = ROOT) -> str:
+def picture(sources: Iterable[Source]) -> str:
     """The packages as a Mermaid graph: an arrow for what each imports, unless other arrows lead there as well."""
-    graph = graph_of_packages(graph_of(read_sources(root)))
+    graph = graph_of_packages(graph_of(sources))
     reached: dict[str, set[str]] = {}
     for package in FLOW:  # each imports only what stands before it
         reached[package] = set(graph[package]).union(*(reached.get(each, set()) for each in graph[package]))
     lines = ["flowchart TD"]
-    lines += [f'    {package}["{package}<br>{caption}"]' for package, caption in FLOW.items()]
     for package in FLOW:
         for target in sorted(graph[package]):
             if not any(target in reached[other] for other in graph[package] if other != target):
@@ -234,15 +169,14 @@ def picture(root: Path = ROOT) -> str:
     return "\n".join(["```mermaid", *lines, "```"])
 
 
-def with_picture(page: str) -> str:
+def with_picture(page: str, sources: Iterable[Source]) -> str:
     """The page with the picture in place of the one in it."""
     before, _, rest = page.partition("```mermaid\n")
-    return before + picture() + rest.partition("```")[2]
+    return before + picture(sources) + rest.partition("```")[2]
 
 
 def main() -> None:
-    PAGE.write_text(with_picture(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    print(json.dumps(figures(), indent=1))
+    PAGE.write_text(with_picture(PAGE.read_text(encoding="utf-8"), read_sources()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -10,16 +10,15 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
-from caster.cli import COMMANDS as CASTER
-from caster.cli.application import Command, build_parser
-from mitsuba_ref.cli import COMMANDS as JUDGE
+import caster.__main__
+import mitsuba_ref.__main__
+from caster.cli.application import build_parser
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, PAGES, SITE = ROOT / "docs", ROOT / "build/site-pages", ROOT / "build/site"
-PROGRAMS = {"mitsuba-ref": JUDGE, "caster": CASTER}
+PROGRAMS = {"mitsuba-ref": mitsuba_ref.__main__, "caster": caster.__main__}
 sys.path.append(str(DOCS))
 
 import api  # noqa: E402 - docs/api.py
@@ -100,67 +99,37 @@ def write_demo(folder: Path) -> None:
 
 # --- commands
 
+COMMAND_PAGE = """# {name}
+
+```
+{help}```
+"""
+
 
 def write_command_pages(folder: Path) -> list[str]:
     """A page for each command of both programs, and a list of them; the names of the pages."""
     folder.mkdir()
     names = []
     rows = ["# Commands", ""]
-    for program, commands in PROGRAMS.items():
+    for program, module in PROGRAMS.items():
         rows += [f"## {program}", "", "| command | what it does |", "|---|---|"]
-        parsers = parsers_of(program, commands)
-        for command in commands:
+        parsers = parsers_of(program)
+        for command in module.COMMANDS:
             name = f"{program}-{command.name}"
-            text = "\n".join(command_page(command, parsers[command.name])) + "\n"
+            text = COMMAND_PAGE.format(name=f"{program} {command.name}", help=parsers[command.name].format_help())
             (folder / f"{name}.md").write_text(text, encoding="utf-8")
-            rows.append(f"| [`{program} {command.name}`]({name}.md) | {cell(command.help)} |")
+            rows.append(f"| [`{program} {command.name}`]({name}.md) | {command.help} |")
             names.append(name)
         rows.append("")
     (folder / "README.md").write_text("\n".join(rows), encoding="utf-8")
     return names
 
 
-def parsers_of(program: str, commands: tuple[Command, ...]) -> dict[str, argparse.ArgumentParser]:
-    top = build_parser(program, "", commands, {})
+def parsers_of(program: str) -> dict[str, argparse.ArgumentParser]:
+    module = PROGRAMS[program]
+    top = build_parser(program, module.ABOUT, module.COMMANDS, module.CODES)
     (subparsers,) = [each for each in top._actions if isinstance(each, argparse._SubParsersAction)]
     return dict(subparsers.choices)
-
-
-def command_page(command: Command, parser: argparse.ArgumentParser) -> Iterator[str]:
-    """What --help says, as Markdown."""
-    yield from [f"# {parser.prog}", "", f"{command.help[0].upper()}{command.help[1:]}.", ""]
-    yield from ["```console", *(f"$ {line}" for line in command.example.splitlines()), "```", ""]
-    yield from ["```", parser.format_usage().strip(), "```", ""]
-    for group in parser._action_groups:
-        actions = [each for each in group._group_actions if each.help != argparse.SUPPRESS]
-        if actions:
-            yield from ["", f"## {(group.title or 'options').capitalize()}", ""]
-            yield from [f"{group.description}\n"] if group.description else []
-            yield from [
-                "| name | meaning |",
-                "|---|---|",
-                *(f"| {called(each)} | {about(each, parser)} |" for each in actions),
-            ]
-    yield from ["", "Exit codes: [continuous integration](../ci.md#exit-codes)."]
-
-
-def called(action: argparse.Action) -> str:
-    """As it is typed."""
-    value = "" if action.nargs == 0 else argparse.HelpFormatter("")._format_args(action, placeholder(action))
-    return ", ".join(f"`{f'{name} {value}'.strip()}`" for name in action.option_strings or [""])
-
-
-def placeholder(action: argparse.Action) -> str:
-    return action.dest.upper() if action.option_strings else action.dest
-
-
-def about(action: argparse.Action, parser: argparse.ArgumentParser) -> str:
-    return cell(parser._get_formatter()._expand_help(action) if action.help else "")
-
-
-def cell(text: str) -> str:
-    """Text in a table of Markdown; what looks like a tag stays text."""
-    return text.replace("|", "\\|").replace("\n", " ").replace("<", "&lt;").replace("*", "\\*")
 
 
 if __name__ == "__main__":

@@ -96,40 +96,35 @@ def block(it: Bound, mitsuba: float) -> str:
     )
 
 
+FIGURE_TEXT = """\
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 190" font-family="sans-serif" font-size="13">
+<title>The bound of t at one pixel, and what it is made of</title>
+<rect width="600" height="190" fill="#ffffff"/>
+<text x="20" y="22" font-weight="bold">bound of t: {bound:.2e}</text>
+<rect x="{left[0]:.1f}" y="32" width="{width[0]:.1f}" height="26" fill="#0072B2"/>
+<rect x="20" y="106" width="12" height="12" fill="#0072B2"/>
+<text x="40" y="116">rounded corners move the plane: {part[0]:.2e}</text>
+<rect x="{left[1]:.1f}" y="32" width="{width[1]:.1f}" height="26" fill="#56B4E9"/>
+<rect x="20" y="126" width="12" height="12" fill="#56B4E9"/>
+<text x="40" y="136">the rounded normal tilts it: {part[1]:.2e}</text>
+<rect x="{left[2]:.1f}" y="32" width="{width[2]:.1f}" height="26" fill="#E69F00"/>
+<rect x="20" y="146" width="12" height="12" fill="#E69F00"/>
+<text x="40" y="156">t itself is rounded: {part[2]:.2e}</text>
+<path d="M{left[3]:.1f} 26V92" stroke="#000000" stroke-dasharray="4 3"/>
+<text x="480" y="83" text-anchor="end">beyond: exact arithmetic decides</text>
+<rect x="20" y="68" width="{width[3]:.1f}" height="20" fill="#009E73"/>
+<text x="47" y="83">error of Mitsuba: {part[3]:.2e}</text>
+<text x="20" y="180" fill="#555555">The bound of t in float64 is 2^28 times narrower.</text>
+</svg>
+"""
+
+
 def figure(it: Bound, mitsuba: float) -> str:
     """The bound as a bar of its three parts, above the error of Mitsuba."""
-    parts = [
-        ("rounded corners move the plane", KU * it.displacement / it.cosine, "#0072B2"),
-        ("the rounded normal tilts it", KU * it.lever / it.cosine, "#56B4E9"),
-        ("t itself is rounded", KU * abs(it.t), "#E69F00"),
-    ]
-    left, width = 20.0, 560.0
-    scale = width / (1.2 * it.t_error)
-    lines = [
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 190" font-family="sans-serif" font-size="13">',
-        "<title>The bound of t at one pixel, and what it is made of</title>",
-        '<rect width="600" height="190" fill="#ffffff"/>',
-        f'<text x="{left}" y="22" font-weight="bold">bound of t: {it.t_error:.2e}</text>',
-    ]
-    x = left
-    for row, (name, value, colour) in enumerate(parts):
-        y = 116 + 20 * row
-        lines += [
-            f'<rect x="{x:.1f}" y="32" width="{scale * value:.1f}" height="26" fill="{colour}"/>',
-            f'<rect x="{left}" y="{y - 10}" width="12" height="12" fill="{colour}"/>',
-            f'<text x="{left + 20}" y="{y}">{name}: {value:.2e}</text>',
-        ]
-        x += scale * value
-    error = abs(mitsuba - it.t)
-    lines += [
-        f'<path d="M{x:.1f} 26V92" stroke="#000000" stroke-dasharray="4 3"/>',
-        f'<text x="{x - 6:.1f}" y="83" text-anchor="end">beyond: exact arithmetic decides</text>',
-        f'<rect x="{left}" y="68" width="{scale * error:.1f}" height="20" fill="#009E73"/>',
-        f'<text x="{left + scale * error + 6:.1f}" y="83">error of Mitsuba: {error:.2e}</text>',
-        f'<text x="{left}" y="180" fill="#555555">The bound of t in float64 is 2^28 times narrower.</text>',
-        "</svg>",
-    ]
-    return "\n".join(lines) + "\n"
+    parts = [KU * it.displacement / it.cosine, KU * it.lever / it.cosine, KU * abs(it.t), abs(mitsuba - it.t)]
+    widths = [560.0 / (1.2 * it.t_error) * part for part in parts]
+    lefts = [20.0 + sum(widths[:i]) for i in range(4)]
+    return FIGURE_TEXT.format(bound=it.t_error, part=parts, width=widths, left=lefts)
 
 
 def with_block(page: str) -> str:

@@ -48,12 +48,6 @@ def picture_output(figure: Any) -> dict[str, Any]:
     return {"data": {"image/png": png}, "metadata": {}, "output_type": "display_data"}
 
 
-def printed(notebook: Notebook) -> str:
-    """What all cells print."""
-    outputs = [output for cell in notebook["cells"] for output in cell.get("outputs", ())]
-    return "".join(line for output in outputs for line in output.get("text", ()))
-
-
 def as_page(notebook: Notebook, pictures: Path) -> str:
     """The notebook as Markdown, for the site; its pictures go into a folder beside the page."""
     parts = []

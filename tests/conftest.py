@@ -30,9 +30,9 @@ KINDS = {
 OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
 NAMED_IN_HEADER = ("numba", "mitsuba", "variants", "libLLVM")
 
-# Of docs/candidates; the other worked examples need nothing and always run.
+# Of docs/recipes; the worked examples of docs/candidates need nothing and always run.
 PEERS = ("open3d", "embreex")
-NO_PEER = "is not installed, its example of docs/candidates is not tested"
+NO_PEER = "is not installed, its example of docs/recipes is not tested"
 
 
 NO_CC = "none: Mitsuba is not limited to older instruction sets, no example in C is tested (apt install gcc libc6-dev)"

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 import bpy
+import hits_of_positions
 import numpy as np
 from mathutils import Matrix
 
@@ -76,12 +77,7 @@ def main(given, rays_file, hits_file):
     with tempfile.TemporaryDirectory() as folder:
         found = render(Path(folder))
     hit = found["Depth"][:, :, 0] < 1e9
-    eye = np.float32(scene["eye"])
-    d = found["Position"][hit] - eye  # t is 1 at the position
-    limits = np.tile(np.float32([0, np.inf]), (len(d), 1))
-    np.savez(rays_file, rays=np.hstack([np.tile(eye, (len(d), 1)), d, limits]))
-    np.savez(hits_file, t=np.ones(len(d), np.float32), n=found["Normal"][hit])
-    print(f"{len(d)} hits in {hit.shape[1]} x {hit.shape[0]} pixels")
+    hits_of_positions.write(rays_file, hits_file, scene["eye"], found["Position"], found["Normal"], hit)
 
 
 main(*sys.argv[1:])

@@ -6,6 +6,7 @@ IN.npz is what scene_arrays.py writes.
 import sys
 import time
 
+import hits_of_positions
 import numpy as np
 import pyluxcore
 
@@ -72,12 +73,7 @@ def main(given, rays_file, hits_file):
     lux = lux_scene(*(scene[name] for name in ("corners", "eye", "ahead", "up", "half")))
     position, normal = render(lux, width, height)
     hit = np.isfinite(position).all(axis=2)
-    eye = np.float32(scene["eye"])
-    d = position[hit] - eye  # t is 1 at the position
-    limits = np.tile(np.float32([0, np.inf]), (len(d), 1))
-    np.savez(rays_file, rays=np.hstack([np.tile(eye, (len(d), 1)), d, limits]))
-    np.savez(hits_file, t=np.ones(len(d), np.float32), n=normal[hit])
-    print(f"{len(d)} hits in {width} x {height} pixels")
+    hits_of_positions.write(rays_file, hits_file, scene["eye"], position, normal, hit)
 
 
 main(*sys.argv[1:])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hits_of_positions
 import numpy as np
 import OpenEXR
 
@@ -50,13 +51,7 @@ def main(pbrt, given, rays_file, hits_file):
     subprocess.run([pbrt, "--quiet", "--render-coord-sys", "world", str(text)], check=True)
     channels = OpenEXR.File(str(image), separate_channels=True).channels()
     position, normal = (np.stack([channels[f"{name}.{axis}"].pixels for axis in "XYZ"], axis=-1) for name in "PN")
-    hit = normal.any(axis=2)
-    eye = np.float32(scene["eye"])
-    d = position[hit] - eye  # t is 1 at the position
-    limits = np.tile(np.float32([0, np.inf]), (len(d), 1))
-    np.savez(rays_file, rays=np.hstack([np.tile(eye, (len(d), 1)), d, limits]))
-    np.savez(hits_file, t=np.ones(len(d), np.float32), n=normal[hit])
-    print(f"{len(d)} hits in {hit.shape[1]} x {hit.shape[0]} pixels")
+    hits_of_positions.write(rays_file, hits_file, scene["eye"], position, normal, normal.any(axis=2))
 
 
 main(*sys.argv[1:])

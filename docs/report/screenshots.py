@@ -1,8 +1,7 @@
-"""Make the pictures of docs/report.md: python docs/report/screenshots.py [FOLDER | INDEX.html | --candidate]
+"""Make the pictures of docs/report.md and docs/candidates.md: python docs/report/screenshots.py [INDEX.html NAME PLACE]
 
-All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
-INDEX.html NAME PLACE: one picture of it, such as quick-start '#s=scan-size-1e-3&x=21&y=2&v=class'.
---candidate makes the picture of docs/candidates.md: the textbook caster inside a sphere.
+For report.md all scenes are judged, one with a fault that is planted; for candidates.md the textbook caster inside a
+sphere. INDEX.html NAME PLACE: one picture of a report, such as quick-start '#s=scan-size-1e-3&x=21&y=2&v=class'.
 """
 
 import shutil
@@ -18,15 +17,13 @@ from playwright.sync_api import Browser, sync_playwright
 
 from caster import load_scene
 from caster.rendering.hits import RayHits
+from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_stored
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import Validation, validate_scene
-from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.subjects import subject
-from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import cast_ours
 
 HERE = Path(__file__).parent
@@ -44,42 +41,33 @@ SHOTS = (
     ("pixel", f"#s={FAULTY}&x=192&y=174&a=depth&v=class&z=24&cx=194&cy=174", WIDE, "dark", ""),
     ("wipe", "#s=cornell-box&a=diffuse&v=wipe&x=96&y=120", WIDE, "dark", ""),
     ("narrow", f"#s={FAULTY}&x=192&y=174&a=normal", NARROW, "light", ""),
-    ("bias", f"#s={BIASED}", {"width": 1240, "height": 775}, "light", "n"),
 )
+OF_BIAS = (("bias", f"#s={BIASED}", {"width": 1240, "height": 775}, "light", "n"),)
 CANDIDATE, INSIDE = "docs.candidates.textbook:trace", "inside-sphere"
 OF_CANDIDATE = (
     ("../candidates/report", f"#s={INSIDE}&x=60&y=128&a=depth", {"width": 1240, "height": 800}, "dark", ""),
 )
 
 
-def main() -> None:
-    if sys.argv[1:] == ["--candidate"]:
-        shoot(candidate_report_into(Path(tempfile.mkdtemp())), OF_CANDIDATE)
-        return
-    if len(sys.argv) > 1 and Path(sys.argv[1]).is_file():
-        named = sys.argv[2:4]
-        shoot(Path(sys.argv[1]), [(named[0], named[1], WIDE, "light", "")] if named else SHOTS)
-        return
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
-    shoot(report_into(folder))
-
-
-def report_into(folder: Path) -> Path:
-    sys.argv = ["mitsuba-ref", "validate", "scenes", "--html", "report"]  # which the head of the page shows
+def shoot_all() -> None:
+    folder = Path(tempfile.mkdtemp())
+    shoot(report_of_bias(folder / "bias"), OF_BIAS)
+    shoot(report_of(folder / "candidate", f"scenes/{INSIDE}.toml", "--candidate", CANDIDATE), OF_CANDIDATE)
     subject.cast_ours = faulty_view
-    files = sorted(SCENES.glob("*.toml"))
-    entries = [many_scenes.SceneEntry(file.stem, f"scenes/{file.name}", given=load_scene(file)) for file in files]
-    report = HtmlReport(folder, len(entries) + 1)
-    options = many_scenes.JudgeOptions(page_of=page_record)
-    with many_scenes.engine_for(entries, options) as engine:
-        for verdict in many_scenes.run(entries, options, engine, record=report.keep):
-            report.add(verdict)
-    scene = load_scene(SCENES / "one-sphere.toml")
-    report.add(
-        report.keep(with_replay(validate_scene(scene, BIASED, "one-sphere.toml", send=biased_answer, keep=True)))
-    )
-    report.write()
-    return report.index
+    shoot(report_of(folder / "scenes", "scenes"), SHOTS)
+
+
+def report_of(folder: Path, *words: str) -> Path:
+    """The report of a command, which is run from the top of the tree. Its head shows the words without the folder."""
+    sys.argv = ["mitsuba-ref", "validate", *words, "--html", "report"]
+    main(["validate", *words, "--no-store", "--html", str(folder)])
+    return folder / "index.html"
+
+
+def report_of_bias(folder: Path) -> Path:
+    path = "scenes/one-sphere.toml"
+    verdict = validate_scene(load_scene(path), BIASED, path, send=biased_answer, keep=True)
+    return Validation((with_replay(verdict),)).write_html(folder)
 
 
 def biased_answer(request: TraceRequest, timeout: float) -> TraceResponse:
@@ -87,15 +75,6 @@ def biased_answer(request: TraceRequest, timeout: float) -> TraceResponse:
     some = np.random.default_rng(0).random(answer.t.shape) < 0.3
     answer.t[some] = np.nextafter(answer.t[some], np.float32(np.inf))
     return answer
-
-
-def candidate_report_into(folder: Path) -> Path:
-    """Run from the top of the tree, where the candidate is found."""
-    path = f"scenes/{INSIDE}.toml"
-    sys.argv = ["mitsuba-ref", "validate", path, "--candidate", CANDIDATE, "--html", "report"]
-    verdict = validate_scene(load_scene(path), INSIDE, path, subject=parse_candidate(CANDIDATE), keep=True)
-    as_typed = replace(verdict, options=("--candidate", CANDIDATE))
-    return Validation((as_typed,)).write_html(folder)
 
 
 def faulty_view(scene: object, rays: object) -> RayHits:
@@ -111,7 +90,7 @@ _faulty = load_scene(SCENES / f"{FAULTY}.toml")
 FAULTY_SCENE = (_faulty.film.width, _faulty.film.height, len(_faulty.shapes))
 
 
-def shoot(index: Path, shots: Sequence[Shot] = SHOTS) -> None:
+def shoot(index: Path, shots: Sequence[Shot]) -> None:
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         for shot in shots:
@@ -135,4 +114,8 @@ def picture(browser: Browser, index: Path, name: str, place: str, size: dict[str
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) > 1:
+        index, name, place = sys.argv[1:]
+        shoot(Path(index), [(name, place, WIDE, "light", "")])
+    else:
+        shoot_all()

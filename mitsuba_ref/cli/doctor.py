@@ -45,13 +45,12 @@ def judge_findings() -> list[Finding]:
     except SceneError as error:
         versions = [Finding("mitsuba", False, True, str(error), USES["mitsuba"])]
     missing = [finding.name for finding in versions if not finding.found]
+    found = [*versions, *_variants(missing)]
     further = [] if missing else [name for name in rgb_variants() if name not in VARIANT_NAMES]
-    problems = {name: why_not(name) for name in further}  # of those that only --variant takes, each in a child process
-    tried = [
-        Finding(name, not why, False, why or "works", f"the reference in this variant: --variant {name}")
-        for name, why in problems.items()
-    ]
-    return [*versions, *_variants(missing), *tried, kept_results()]
+    for name in further:  # that only --variant takes, each tried in a child process
+        why, adds = why_not(name), f"the reference in this variant: --variant {name}"
+        found.append(Finding(name, not why, False, why or "works", adds))
+    return [*found, kept_results()]
 
 
 def _variants(missing: Sequence[str]) -> list[Finding]:

@@ -11,7 +11,7 @@ from caster.cli.shared_arguments import comma_separated
 from caster.description.errors import SceneError
 from caster.rendering.threads import core_count
 from caster.system.cluster import CallEnded
-from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
@@ -53,8 +53,8 @@ def run_stress(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
     known = SPAWNED if args.spawn else SWEPT if args.candidate else (*SWEPT, *SPAWNED)
     families = options.select(known, "family", args.families)
-    if (code := options.listed(families, "family", args)) is not None:
-        return code
+    if args.list:
+        return options.print_list(families)
     candidate = options.requested_candidate(args, takes_rays=True)
     variants.variant_for(has_quadrics=True)  # without Mitsuba's columns a run would pass with its evidence missing
     if args.spawn:
@@ -62,7 +62,7 @@ def run_stress(args: argparse.Namespace) -> int:
     done, line = list[SweepResult | OriginSweep](), StatusLine()
     words = options.candidate_words(args)
     about = args.seed, args.rays, args.out, candidate, words, args.spawn
-    calls = ((family.name, *about) for family in families)
+    calls = ((family, *about) for family in families)
     here = args.engine == LOCAL and (candidate or args.spawn)  # it runs in this process, alone
     limit = CALL_TIMEOUTS * DEFAULT_TIMEOUT
     try:
@@ -88,13 +88,12 @@ def run_stress(args: argparse.Namespace) -> int:
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)
     if not run.judged:
-        print("nothing judged: the candidate declined every family", file=sys.stderr)
-        return NOTHING_SELECTED
+        raise options.NothingSelected("nothing judged: the candidate declined every family")
     return OK if run.ok else DIFFERENCES
 
 
 def sweep_family(
-    name: str,
+    family: Family,
     seed: int,
     rays: int | None,
     folder: str,
@@ -103,7 +102,6 @@ def sweep_family(
     spawn: str | None,
 ) -> SweepResult | OriginSweep:
     """Sweep a family in this process."""
-    (family,) = (each for each in (*SWEPT, *SPAWNED) if each.name == name)
     if family.spawns:
         return origins.sweep_origins(family, seed, rays, Path(folder), spawn_rule(spawn) if spawn else None)
     return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
@@ -134,8 +132,8 @@ def run_bench(args: argparse.Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
     scenes = requested_scenes(args)
     candidate = options.requested_candidate(args, takes_rays=True)
-    if (code := options.listed(scenes, "scene", args)) is not None:
-        return code
+    if args.list:
+        return options.print_list(scenes)
     here = args.engine == LOCAL
     threads = args.threads or (core_count() if here else ALL_CORES)
     if here and threads > core_count():
@@ -161,7 +159,11 @@ def run_bench(args: argparse.Namespace) -> int:
             print(f"{as_text(result)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         recorded["threads"] = threads or int(machine[CORES].partition(" ")[0])
-        report_run(Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done)), args)
+        run = Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done))
+        if args.json:
+            write_result(run, args.json)
+        text = f"{overview_text(run)}\n\n{options.missing_variants()}{summary(run)}"
+        print(text, file=options.table_stream(args))
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
@@ -198,7 +200,7 @@ def time_on_worker(scene: BenchScene, caster: casters.TimedCaster | None, settin
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
-    """Scenes of the standard set and of files, with the AOVs of --aov. Raises SceneError, FileMissing."""
+    """Scenes of the standard set and of files, with the AOVs of --aov. Raises SceneError, NothingSelected."""
     words = list(map(ScenePath, args.scenes))
     files = [word for word in words if Path(word).suffix]
     named = [word for word in words if word not in files]
@@ -209,14 +211,9 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     if args.aov:
         images = [scene for scene in chosen if scene.workload == FILM and scene.aovs == AOVS]
         chosen = [with_aovs(scene, comma_separated(args.aov)) for scene in images]
+    if not chosen:
+        raise options.NothingSelected("nothing selected: no scene fits the options")
     return chosen
-
-
-def report_run(done: Run, args: argparse.Namespace) -> None:
-    """Write the JSON file, if any, and print the overview table and a last line."""
-    if args.json:
-        write_result(done, args.json)
-    print(f"{overview_text(done)}\n\n{options.missing_variants()}{summary(done)}", file=options.table_stream(args))
 
 
 # ---- versions ----
@@ -228,8 +225,6 @@ def run_versions(args: argparse.Namespace) -> int:
     if len(pythons) != 2:
         raise SceneError(f"--mitsuba: expected it once or twice, got {len(args.interpreters)}")
     entries = selected_entries(args)
-    if not entries:
-        return NOTHING_SELECTED
     found = []
     for python in pythons:  # their errors come before any work
         with chosen(python):

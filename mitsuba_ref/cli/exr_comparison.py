@@ -4,14 +4,15 @@ import argparse
 import json
 import sys
 from dataclasses import replace
+from glob import glob
 from pathlib import Path
 
 from caster.description.errors import SceneError
 from caster.scene.files import load_scene
-from caster.system.process import NOTHING_SELECTED, OK, report_error
+from caster.system.process import NOTHING_SELECTED, OK
 from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import NUMBERS
-from mitsuba_ref.cli.options import reading_of, report_address
+from mitsuba_ref.cli.options import NothingSelected, reading_of, report_address
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
 from mitsuba_ref.report.results import plural, print_lines
@@ -22,8 +23,11 @@ def run_compare(args: argparse.Namespace) -> int:
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
-    if Path(args.ours).is_dir() and Path(args.reference).is_dir():
+    folders = [path for path in (args.ours, args.reference) if Path(path).is_dir()]
+    if len(folders) == 2:
         return compare_folders(args, tolerances, reading)
+    if folders:
+        raise SceneError(f"expected two files, or two folders; only {folders[0]} is a folder")
     result = compare_exr(args.ours, args.reference, tolerances, html=args.html, reading=reading)
     print(result.model_dump_json(indent=2) if args.json else folded(result.format_table()))
     if args.html and not args.json:
@@ -33,14 +37,16 @@ def run_compare(args: argparse.Namespace) -> int:
 
 
 def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: Reading) -> int:
-    """Compare every EXR file of the reference's folder; the highest exit code, but 5 only without another failure."""
-    folders = Path(args.ours), Path(args.reference)
+    """Compare every EXR file in the reference's folder and its subfolders.
+
+    Returns the highest exit code, but 5 only without another failure.
+    """
     if args.html:
         raise SceneError("--html: expected two files, not folders")
-    ours, references = (sorted(path.name for path in folder.glob("*.exr")) for folder in folders)
+    folders = Path(args.ours), Path(args.reference)
+    ours, references = map(exr_files, folders)
     if not references:
-        report_error(f"nothing selected: no .exr file in {folders[1]}", NOTHING_SELECTED)
-        return NOTHING_SELECTED
+        raise NothingSelected(f"nothing selected: no .exr file in {folders[1]}")
     done = []
     for name in references:
         a, b = (str(folder / name) for folder in folders)
@@ -61,3 +67,9 @@ def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: R
         print_lines(f"\n{plural(len(done), 'image')}: {len(done) - failed} pass, {failed} fail")
     codes = {result.exit_code for result in done}
     return max(codes - {NOTHING_SELECTED}, default=OK) or max(codes)
+
+
+def exr_files(folder: Path) -> list[str]:
+    """Names of the EXR files in a folder and its subfolders."""
+    names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
+    return sorted(name for name in names if name.lower().endswith(".exr"))

@@ -2,10 +2,9 @@
 
 import argparse
 import itertools
-import sys
 from pathlib import Path
 
-from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 from mitsuba_ref.fuzz import findings
@@ -25,11 +24,16 @@ def run(args: argparse.Namespace) -> int:
     """Fuzz; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
-    running = fuzz_run_of(args)
-    if args.examples is not None and not len(args.examples):
-        print("nothing selected: --examples 0 selects no example", file=sys.stderr)
-        return NOTHING_SELECTED
-    if args.judge_every or args.candidate is not None:
+    families = options.select(FAMILIES, "family", args.family)
+    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
+    examples = itertools.count() if args.examples is None else args.examples
+    names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
+    drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
+    about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
+    running = FuzzRun(drawing, examples, limit, *about)
+    if args.examples is not None and not args.examples:
+        raise options.NothingSelected("nothing selected: --examples 0 selects no example")
+    if args.judge_every or candidate:
         variants.require_variants()  # a wrong choice of variant fails before any work
     line = StatusLine()
     try:
@@ -44,23 +48,11 @@ def run(args: argparse.Namespace) -> int:
     return OK if running.outcome.ok else DIFFERENCES
 
 
-def fuzz_run_of(args: argparse.Namespace) -> FuzzRun:
-    """The run that the options ask for. Raises SceneError for an unknown family or candidate."""
-    families = options.select(FAMILIES, "family", args.family)
-    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
-    examples = itertools.count() if args.examples is None else args.examples
-    names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
-    drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
-    about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
-    return FuzzRun(drawing, examples, limit, *about)
-
-
 def replay(args: argparse.Namespace) -> int:
     """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
     files = kept_files(args.replay)
     if not files:
-        print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
-        return NOTHING_SELECTED
+        raise options.NothingSelected(f"nothing selected: no scene file in {args.replay}")
     kept = [(str(file), read_kept(file)) for file in files]
     subject = options.requested_candidate(args) or OURS
     replays = [(file, kind, find(case, kind, subject=subject)) for file, (kind, case) in kept]

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,10 @@ from caster.rendering.hits import trace_rays, validated_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder
-from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
-from mitsuba_ref.cli.options import given_words, load_scene_or_original
+from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_original, refuse, table_stream
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard import rays
@@ -28,19 +29,35 @@ from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.runner.validation_run import RunOptions
 from mitsuba_ref.stress.origins import write_parent
 from mitsuba_ref.subjects.function import spawn_rule
-from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, RayList, checked_rays, read_arrays, read_rays, write_rays
+from mitsuba_ref.subjects.ray_files import (
+    HIT_ARRAYS,
+    RayList,
+    answer_of_hits,
+    checked_rays,
+    read_arrays,
+    read_rays,
+    write_rays,
+)
 from mitsuba_ref.subjects.subject import NoAnswer
 
 # ---- rays of a scene, as a file ----
 
+CAMERA = "camera"
+AIMED_RAYS = 4096  # by default
+
 
 def run_rays(args: argparse.Namespace) -> int:
     """Write the rays and print their number."""
+    kind = args.kind or CAMERA
+    if args.bounces:
+        refuse(args, "not together with --bounces, whose first rays are the camera's", "kind")
+    if kind == CAMERA:
+        refuse(args, "expected --kind of aimed rays beside it", "count", "seed")
     scene = load_scene_or_original(args)
     if args.bounces:
         return write_bounces(scene, args)
     with np.errstate(over="ignore"):
-        rows, pixels = camera_rows(scene) if args.kind == "camera" else (aimed_rows(scene, args), None)
+        rows, pixels = camera_rows(scene) if kind == CAMERA else (aimed_rows(scene, args), None)
         rows = rows.astype(np.float32)
     whole = pixels is not None and len(pixels) == scene.film.width * scene.film.height
     rays = checked_rays(rows, args.output, scene.film.width if whole else 0)
@@ -53,9 +70,7 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
     """Write bounce-0.npz, the camera's rays, and bounce-1.npz ..., whose `parent` counts in the file before."""
     folder = check_folder(args.output)
     rows, pixels = camera_rows(scene)
-    first = trace_rays(
-        scene, packed_float32(scene), validated_rays(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]), rows[:, 6]
-    )
+    first = trace_rays(scene, packed_float32(scene), validated_rays(*batch_of(rows)), rows[:, 6])
     write_rays(folder / "bounce-0.npz", RayList(rows.astype(np.float32)), pixels=pixels)
     for bounce in bounces(first, args.bounces):
         rays = bounce.rays
@@ -64,6 +79,10 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
         write_rays(path, listed, parent=rays.parent, kind=rays.kind, pixels=pixels[rays.pixel])
         print(f"{path}: {len(rays.kind)} rays")
     return OK
+
+
+def batch_of(rows: Array) -> rays.RayBatch:
+    return rays.RayBatch(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7])
 
 
 def camera_rows(scene: Scene) -> tuple[Array, Array]:
@@ -76,12 +95,12 @@ def camera_rows(scene: Scene) -> tuple[Array, Array]:
 
 def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
     """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
-    targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed))
+    targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed or 0))
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
     targets.fit_frame()
     aims = {"features": rays.at_features, "silhouettes": rays.tangents, "surface": rays.from_surface}
-    o, d = aims.get(args.kind, rays.anywhere)(targets, args.count)
+    o, d = aims.get(args.kind, rays.anywhere)(targets, args.count or AIMED_RAYS)
     return np.column_stack(rays.endless(o, d))
 
 
@@ -100,8 +119,18 @@ def run(args: argparse.Namespace) -> int:
     entries = entries_of_hits(
         Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.row, options
     )
+    check_arrays(hits, len(found.rows), args.hits)
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
     return judge_entries(args, entries, RunOptions(judge, html=args.html), out)
+
+
+def check_arrays(hits: Mapping[str, Array], count: int, where: str) -> None:
+    """Raise SceneError for arrays that hold no answers to so many rays, by their shape or type."""
+    for name in hits.keys() & {"t", "any_hit"}:
+        try:
+            answer_of_hits(hits, np.ones(count, bool), any_hit=name == "any_hit")
+        except NoAnswer as error:
+            raise SceneError(f"{where}: {error}") from error
 
 
 # ---- origins of rays that leave surfaces ----
@@ -109,9 +138,7 @@ def run(args: argparse.Namespace) -> int:
 
 def run_spawned(args: argparse.Namespace) -> int:
     """Judge the origins and print their errors; 0 none, 1 some or no answer, 5 nothing to judge."""
-    for name in ("hits", "html", "junit", "summary_md", "row", "precision"):
-        if getattr(args, name) is not None:
-            raise SceneError(f"--{name.replace('_', '-')}: not together with --spawned")
+    refuse(args, "not together with --spawned", "hits", "html", "junit", "summary_md", "row", "precision")
     try:
         named = args.spawn in (None, MITSUBA, *RULES)
         found = judge_origins(by_rule(listed_rays(args), args.spawn if named else spawn_rule(args.spawn)))
@@ -121,8 +148,7 @@ def run_spawned(args: argparse.Namespace) -> int:
     if args.json:
         write_result({**found.counts(), "wrong": found.wrong.tolist()}, args.json)
     if (found.found == UNDECIDED).all():
-        print(f"nothing judged: {found.text()}: their parents hit nothing, or graze it", file=sys.stderr)
-        return NOTHING_SELECTED
+        raise NothingSelected(f"nothing judged: {found.text()}: their parents hit nothing, or graze it")
     lines = [f"{'FAIL' if len(found.wrong) else 'PASS'}  {found.text()}"]
     if len(found.wrong):
         row = int(found.wrong[0])
@@ -131,7 +157,7 @@ def run_spawned(args: argparse.Namespace) -> int:
             path = Path(args.out) / f"{Path(args.scene).stem}.spawned-origin.{row}.toml"
             about = f"The parent of ray {row} of {args.spawned}."
             lines.append(f"      parent ray: {write_parent(path, about, found, row)}")
-    print("\n".join(lines))
+    print("\n".join(lines), file=table_stream(args))
     return DIFFERENCES if len(found.wrong) else OK
 
 
@@ -149,7 +175,7 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
         raise SceneError(f"{args.spawned}: parent[{bad[0]}]: expected {known}, got {int(parent[bad[0]])}")
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
-    lines = rays.RayBatch(parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7])
+    lines = batch_of(parents[used])
     answers = Oracle(packed).first_hits(*lines)
     prim = np.array([answer.prim for answer in answers], np.int64)
     t = np.array([answer.distance for answer in answers])

@@ -17,6 +17,7 @@ from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
+from mitsuba_ref.report.results import STANDARD_OUTPUT
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
@@ -52,8 +53,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     takes_rays: one that renders images of its own camera cannot.
     """
     if args.candidate is None:
-        for word in given_words(args, "candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)[:1]:
-            raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
+        refuse(args, "expected --candidate X beside it, whose answers it is about", *CANDIDATE_OPTIONS)
         return None
     served, seconds = isinstance(args.candidate, ServedProgram), args.candidate_timeout or CANDIDATE_SECONDS
     found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
@@ -68,19 +68,18 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
         return replace(found, takes_limits=not args.no_limits)
     if isinstance(found, CommandSubject | ExrFile):
         return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
-    for word in given_words(args, *READING_OPTIONS)[:1]:
-        raise SceneError(
-            f"{word}: expected a --candidate with {{exr}} beside it, or an .exr file, whose image it is about"
-        )
+    why = "expected a --candidate with {exr} beside it, or an .exr file, whose image it is about"
+    refuse(args, why, *READING_OPTIONS)
     return found
 
 
 READING_OPTIONS = ("map", "depth", "miss")  # of add_reading
+CANDIDATE_OPTIONS = ("candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)  # beside --candidate
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
     """The options of the candidate, for a replay with the same one; () without one."""
-    return given_words(args, "candidate", "candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)
+    return given_words(args, "candidate", *CANDIDATE_OPTIONS)
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
@@ -96,6 +95,12 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
             words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
             check_utf8_name(words[-1])
     return tuple(words)
+
+
+def refuse(args: argparse.Namespace, why: str, *names: str) -> None:
+    """Raise SceneError where one of these options was given."""
+    for option in given_words(args, *names)[:1]:
+        raise SceneError(f"{option}: {why}")
 
 
 def reading_of(args: argparse.Namespace) -> Reading:
@@ -124,7 +129,13 @@ def missing_variants() -> str:
 
 def table_stream(args: argparse.Namespace) -> TextIO:
     """The stream for tables: standard error if the JSON goes to standard output."""
-    return sys.stderr if args.json == "-" else sys.stdout
+    return sys.stderr if args.json == STANDARD_OUTPUT else sys.stdout
+
+
+class NothingSelected(SceneError):  # noqa: N818 - an outcome
+    """The options leave nothing to do, or nothing that can be judged."""
+
+    exit_code = NOTHING_SELECTED
 
 
 def select(items: Sequence[Any], what: str, words: Sequence[str]) -> list[Any]:
@@ -140,13 +151,8 @@ def select(items: Sequence[Any], what: str, words: Sequence[str]) -> list[Any]:
     return [item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words)]
 
 
-def listed(items: Sequence[Any], what: str, args: argparse.Namespace) -> int | None:
-    """The exit code where nothing was selected, or after --list; None: there is work to do."""
-    if not items:
-        print(f"nothing selected: no {what} fits the options", file=sys.stderr)
-        return NOTHING_SELECTED
-    if args.list:
-        width = max(len(item.name) for item in items) + 2
-        print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
-        return OK
-    return None
+def print_list(items: Sequence[Any]) -> int:
+    """Print the names and titles that --list asks for."""
+    width = max(len(item.name) for item in items) + 2
+    print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
+    return OK

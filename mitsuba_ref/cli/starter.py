@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 from pathlib import Path
 from typing import NamedTuple
@@ -44,8 +45,11 @@ def run(args: argparse.Namespace) -> int:
     """Write the files of a language, and print how to go on. Raises SceneError, and writes nothing, if one exists."""
     language, folder = LANGUAGES[args.language], check_folder(Path(args.folder))
     texts = {file.name: file.read_text(encoding="utf-8") for file in sorted((STARTERS / args.language).glob("*.*"))}
+    build = f"{language.build} && " if language.build else ""
+    words = {"BUILD": build, "CANDIDATE": language.candidate, "SOURCE": language.source}
     for name, place in SHARED.items():
-        texts[place] = _filled((STARTERS / "any" / name).read_text(encoding="utf-8"), language)
+        text = (STARTERS / "any" / name).read_text(encoding="utf-8")
+        texts[place] = re.sub("|".join(words), lambda found: words[found[0]], text)
     if existing := [name for name in texts if (folder / name).exists()]:
         raise SceneError(f"{folder / existing[0]}: exists, and is not overwritten; name another folder")
     for name, text in texts.items():
@@ -53,14 +57,5 @@ def run(args: argparse.Namespace) -> int:
         write_text(folder / name, text)
         print(f"wrote {folder / name}")
     go = f"cd {shlex.quote(str(folder))} && " if args.folder != "." else ""
-    build = f"{language.build} && " if language.build else ""
     print(f"next: {go}{build}mitsuba-ref validate scene.toml {language.candidate}")
     return OK
-
-
-def _filled(text: str, language: Language) -> str:
-    """The text with the commands of a language; a line that begins with BUILD keeps its indentation."""
-    for indent in ("      - run: ", "    "):
-        build = f"{indent}{language.build}\n" if language.build else ""
-        text = text.replace(f"BUILD{indent}", build + indent)
-    return text.replace("CANDIDATE", language.candidate).replace("SOURCE", language.source)

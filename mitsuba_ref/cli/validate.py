@@ -8,26 +8,29 @@ import traceback
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import TextIO
 
 from caster.cli.shared_arguments import check_film_size, display_names, scene_files
 from caster.description.errors import FileMissing, SceneError
 from caster.system.atomic_files import OutputError, write_text
-from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE, report_error
+from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES, REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import (
     OPENING_OPTIONS,
+    NothingSelected,
     candidate_words,
     given_words,
     opening_of,
     report_address,
     requested_candidate,
+    table_stream,
 )
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.ci_summaries import append, junit
 from mitsuba_ref.report.out_folder import OutFolder
-from mitsuba_ref.report.results import json_text, print_lines
+from mitsuba_ref.report.results import STANDARD_OUTPUT, print_lines, write_result
 from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, matching
 from mitsuba_ref.runner.shards import merge_verdicts
@@ -38,8 +41,6 @@ from mitsuba_ref.runner.verdict_files import read_verdict
 def run(args: argparse.Namespace) -> int:
     """Validate the selected scenes; 0 all pass, 1 some do not, 5 nothing was selected, 130 interrupted."""
     entries = selected_entries(args)
-    if not entries:
-        return NOTHING_SELECTED
     out = without_earlier_results(args)
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
@@ -64,7 +65,7 @@ BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the pro
 
 
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
-    """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
+    """The selected scenes, not loaded yet. Raises SceneError, NothingSelected."""
     fits = matching(args.expression)
     again = (*given_words(args, "mesh_dir", *OPENING_OPTIONS, *REFERENCE_OPTIONS), *candidate_words(args))
     opening = opening_of(args)
@@ -97,7 +98,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         hint = "" if args.expression else f"; {BUILTIN_HINT}"
-        report_error(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", NOTHING_SELECTED)
+        raise NothingSelected(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}")
     return entries
 
 
@@ -106,9 +107,8 @@ def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
 
     Before a candidate is loaded, which may end the process.
     """
-
-    for path in (args.json, args.junit):
-        if path and os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
+    for path in {args.json, args.junit} - {None, STANDARD_OUTPUT}:
+        if os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
             os.unlink(path)
     return OutFolder(Path(args.out)) if args.out else None
 
@@ -118,17 +118,16 @@ def judge_entries(
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code."""
     variants.require_variants()  # its errors come before any work
-    start = time.perf_counter()
+    start, stream = time.perf_counter(), table_stream(args)
     running = ValidationRun(entries, options, out)
     try:
         width = max((len(entry.name) for entry in running.entries), default=0)
-        stream = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
         print_lines(table_head(width), stream)
         with closing(running.verdicts()) as verdicts:
             for verdict in verdicts:  # as soon as it and all scenes before it are done
                 print_lines(table_row(verdict, width), stream)
     finally:  # whatever ends the work, the results so far are written
-        write_results(running, args, time.perf_counter() - start)
+        write_results(running, args, time.perf_counter() - start, stream)
     return exit_code(running.verdict(), running.errors)
 
 
@@ -150,7 +149,7 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:
+def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float, stream: TextIO) -> None:
     """Write the report files, then print failures and the summary."""
     verdict = running.verdict()
     try:
@@ -158,10 +157,10 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         write_expected(verdict, args)
         report = str(Path(args.html) / "index.html") if args.html else ""
         if failures := failures_text(verdict, report):
-            print_lines(f"\n{failures}")
-        print_lines(f"\n{summary_text(verdict, seconds)}")
+            print_lines(f"\n{failures}", stream)
+        print_lines(f"\n{summary_text(verdict, seconds)}", stream)
         if args.html:
-            print_lines(report_address(args.html))
+            print_lines(report_address(args.html), stream)
     finally:
         if removed := running.finish():
             print(removed, file=sys.stderr)
@@ -170,7 +169,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     """Write --json, --junit and --summary-md. Raises OutputError."""
     if args.json:
-        write_text(args.json, json_text(verdict))
+        write_result(verdict, args.json)
     if args.junit:
         write_text(args.junit, junit(verdict))
     if args.summary_md:
@@ -193,13 +192,14 @@ def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
+    stream = table_stream(args)
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
     write_verdict_files(verdict, args, seconds)
     if failures := failures_text(verdict):
-        print_lines(f"{failures}\n")
+        print_lines(f"{failures}\n", stream)
     for name in verdict.not_judged:
-        print_lines(f"FAIL  {name}  not judged")
-    print_lines(summary_text(verdict, seconds))
+        print_lines(f"FAIL  {name}  not judged", stream)
+    print_lines(summary_text(verdict, seconds), stream)
     if missing:
         print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

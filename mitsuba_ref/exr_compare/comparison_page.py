@@ -25,7 +25,7 @@ from mitsuba_ref.report.html_report import (
     write_page,
     write_record,
 )
-from mitsuba_ref.report.scene_record import image, packed
+from mitsuba_ref.report.scene_record import SIDES, image, packed
 
 RECORD = "images"  # the name of the record of both
 
@@ -128,7 +128,7 @@ def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers
 
     index, data = report_folder(folder)
     parts = {
-        name: {"ours": stored(layer.ours), "reference": stored(layer.reference), "ratio": stored(layer.ratio)}
+        name: {part: stored(values) for part, values in zip(SIDES, layer[:3], strict=True)}
         for name, layer in layers.items()
     }
     write_record(data, RECORD, {"about": about, **parts})

@@ -28,14 +28,7 @@ class Worst(BaseModel):
     reference: JsonFloat
     error: JsonFloat
     bound: JsonFloat
-
-    @computed_field  # type: ignore[prop-decorator] # pydantic's way
-    @property
-    def ratio(self) -> JsonFloat:
-        """error / bound; 0 where equal, inf where the bound is 0 or a value is not finite."""
-        if self.error == 0.0:
-            return 0.0
-        return self.error / self.bound if self.bound > 0.0 and math.isfinite(self.error) else math.inf
+    ratio: JsonFloat  # error / bound; inf where the bound is 0 or a value is not finite
 
 
 class GroupResult(BaseModel):

@@ -117,16 +117,6 @@ class ExrPair(NamedTuple):
         """Ours and the reference's, (h, w, c) float64."""
         return stacked(self.ours, names), stacked(self.reference, names)
 
-    @property
-    def hit_either(self) -> Array:
-        """(h, w) bool: where at least one image hits."""
-        return np.asarray(self.hit_ours | self.hit_reference)
-
-    @property
-    def same_mask(self) -> Array:
-        """(h, w) bool: where both images hit or both miss."""
-        return np.asarray(self.hit_ours == self.hit_reference)
-
 
 def bound_of(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Bound:
     """The bound of one quantity: the given tolerance, else the derived one, else the plain one."""

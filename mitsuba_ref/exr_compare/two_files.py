@@ -57,8 +57,8 @@ def compare_exr(
     if html is not None:
         comparison_page.remove_page(Path(html))
     reading, sources = reading or Reading(), (ours, reference)
-    paths = [each for each in sources if isinstance(each, str | os.PathLike)]
-    names = str(ours) if ours in paths else SIDES[0], str(reference) if reference in paths else SIDES[1]
+    named = zip(sources, SIDES, strict=True)
+    names = [str(each) if isinstance(each, str | os.PathLike) else who for each, who in named]
     files = [as_exr(each) for each in sources]
     check_maps(reading.maps, *(exr.channels for exr in files))
     converted, stated = list[Exr](), list[str]()
@@ -95,7 +95,7 @@ def compare_exr(
         height=height,
         hit_ours=int(pair.hit_ours.sum()),
         hit_reference=int(pair.hit_reference.sum()),
-        hit_either=int(pair.hit_either.sum()),
+        hit_either=int((pair.hit_ours | pair.hit_reference).sum()),
         hit_channel=pair.mask_channel,
         differing_pixels=bad,
         allowed_pixels=tolerances.max_pixels,
@@ -141,7 +141,7 @@ def _channels(arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
 def _is_empty(pair: ExrPair) -> bool:
     """Whether nothing was hit; without a mask channel, whether every number of both images is 0."""
     if pair.mask_channel:
-        return not pair.hit_either.any()
+        return not (pair.hit_ours | pair.hit_reference).any()
     return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
 
 
@@ -208,7 +208,8 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
         a, b = pair.values(names) if names == LAYERS["hit"] else masks
         bound, text, where = np.zeros_like(b), "exact", np.ones_like(b, bool)
     else:
-        (a, b), (bound, text), where = pair.values(names), bound_of(pair, group, names, tol), pair.same_mask[..., None]
+        (a, b), (bound, text) = pair.values(names), bound_of(pair, group, names, tol)
+        where = (pair.hit_ours == pair.hit_reference)[..., None]
     # Infinity is a valid value only as the depth of a ray that hits nothing.
     far_a, far_b = (
         (values == np.inf) & ~hit[..., None] & (group == "depth")
@@ -220,7 +221,7 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     within = (error <= bound) | (far_a & far_b)
     wrong = ~within & ~broken & where  # "not within", so that a NaN can never pass as "not beyond"
     ratio = np.where((where & ~(far_a & far_b)) | broken, error_over_bound(error, bound), 0.0)
-    worst = _worst(pair, names, ratio, {"ours": a, "reference": b, "error": error, "bound": bound})
+    worst = _worst(pair, names, {"ours": a, "reference": b, "error": error, "bound": bound, "ratio": ratio})
     broken = broken.any(-1)
     differ = wrong.any(-1) & ~broken
     agree = pair.hit_ours & pair.hit_reference & ~differ & ~broken
@@ -229,8 +230,8 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     return Judged(result, differ, broken, ratio.max(-1))
 
 
-def _worst(pair: ExrPair, names: tuple[str, ...], ratio: Array, numbers: dict[str, Array]) -> Worst | None:
-    error = np.nan_to_num(numbers["error"], nan=np.inf)
+def _worst(pair: ExrPair, names: tuple[str, ...], numbers: dict[str, Array]) -> Worst | None:
+    error, ratio = np.nan_to_num(numbers["error"], nan=np.inf), numbers["ratio"]
     among = np.where(ratio == ratio.max(), error, -1.0)  # where no error is allowed: largest
     at = y, x, c = np.unravel_index(int(among.argmax()), ratio.shape)
     if ratio[at] == 0.0:

@@ -17,6 +17,7 @@ from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import (
     exact_answer,
     exceeded_bounds,
+    format_exact,
     full_reason,
     not_judged,
     pixel_answers,
@@ -190,8 +191,9 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
     """The exact answer for JSON; empty if there is no ray or no answer."""
     if answer is None:
         return {}
-    ties = [each._asdict() for each in tie_members(judge.scene, judge.model.packed, answer)]
-    return {"hit": answer.hit, "t": answer.distance, "ties": ties}
+    scene, packed = judge.scene, judge.model.packed
+    ties = [each._asdict() for each in tie_members(scene, packed, answer)]
+    return {"hit": answer.hit, "t": answer.distance, "ties": ties, "text": format_exact(scene, packed, answer)}
 
 
 def _answer(scene: Scene, aovs: Aovs, t: Array) -> dict[str, Any]:

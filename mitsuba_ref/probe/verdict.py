@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from caster.system.terminal import folded
-from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN
 from mitsuba_ref.judge.verdict import AGREE, FAILING, UNLISTED, json_number
 from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_lines
 
@@ -115,7 +114,7 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
         yield found.problem
         return
     yield "\nwho is right"
-    yield from _exact_lines(found.exact)
+    yield f"  exact: {found.exact.get('text', 'no answer')}"
     yield from witness_lines(found.witnesses)
     yield from (f"  note: {note}" for note in (found.candidate.notes if found.candidate else ()))
     if found.path is not None:
@@ -127,10 +126,13 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
         yield from _value_lines(name, value)
     yield "\nt, in lengths of d"
     yield from t_lines(found.witnesses)
+    sides: dict[str, Mapping[str, Any]] = {"ours": found.ours, "reference": found.reference}
+    sides |= {"candidate": found.candidate.says} if found.candidate else {}
     for name in [name for name in found.ours if name not in ("shape", "t")]:
         yield f"\n{name}"
-        for who, value in _sides(found, name).items():
-            yield from _value_lines(who, value)
+        for who, values in sides.items():
+            if name in values:
+                yield from _value_lines(who, values[name])
     yield "\nshare of each bound that our error uses"
     for name, ratio in found.ratios.items():
         yield f"  {name:<16}{ratio:.3g}" if math.isfinite(ratio) else f"  {name:<16}no bound allows this"
@@ -159,25 +161,6 @@ def _head(found: PixelVerdict, path: str) -> Iterator[str]:
     yield f"why:       {first}"
     yield from (f"           {line}" for line in rest)
     yield f"ours:      {found.verdict}: {found.why}"
-
-
-def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
-    """One quantity by each side."""
-    theirs = found.candidate.says if found.candidate is not None else {}
-    sides = {"ours": found.ours[name], "reference": found.reference[name]}
-    return sides | ({"candidate": theirs[name]} if name in theirs else {})
-
-
-def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
-    """What is hit exactly, and the other intersections of the ray."""
-    if not exact:
-        yield "  exact: no answer"
-        return
-    yield f"  exact: t {exact['t']!r}  {exact['t'].hex()}" if exact["hit"] else "  exact: miss"
-    for tie in exact["ties"][:MAX_TIES_SHOWN]:
-        yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
-    if len(exact["ties"]) > MAX_TIES_SHOWN:
-        yield f"         and {len(exact['ties']) - MAX_TIES_SHOWN} more at the same t (--json lists them)"
 
 
 def _value_lines(name: str, value: Any) -> Iterator[str]:

@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -54,27 +53,21 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     return tuple(rows)
 
 
-def mitsuba_answers(judge: Judge) -> list[tuple[str, ReferenceResult | Crash | str]]:
-    """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
+def mitsuba_answers(judge: Judge) -> Iterator[tuple[str, ReferenceResult | Crash | str]]:
+    """Answers by variant with its mode, the judge's own among them."""
     result, given = judge.result, judge.result.answer.versions["variant"]
     works = {*variants.usable_variants().names, given}
-
-    def ask(variant: str) -> list[tuple[str, ReferenceResult | Crash | str]]:
-        answers: dict[str, ReferenceResult | Crash | str] = {}
-        for mode, robust in MODES.items():
-            if (variant, robust) == (given, result.robust):
-                answers[mode] = result
-            elif variant in works:
-                rays = judge.pair.rays
-                answers[mode] = trace_reference(
-                    judge.scene, judge.model, rays, variant=variant, lights=False, robust=robust
-                )
-            else:
-                answers[mode] = MISSING
-        return [(f"{variant} {mode}", answer) for mode, answer in answers.items()]
-
-    with ThreadPoolExecutor() as pool:
-        return list(chain.from_iterable(pool.map(ask, dict.fromkeys((*variants.VARIANT_NAMES, given)))))
+    answer: ReferenceResult | Crash | str
+    for variant, (mode, robust) in product(dict.fromkeys((*variants.VARIANT_NAMES, given)), MODES.items()):
+        if (variant, robust) == (given, result.robust):
+            answer = result
+        elif variant in works:
+            answer = trace_reference(
+                judge.scene, judge.model, judge.pair.rays, variant=variant, lights=False, robust=robust
+            )
+        else:
+            answer = MISSING
+        yield f"{variant} {mode}", answer
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:

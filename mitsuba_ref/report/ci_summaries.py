@@ -10,6 +10,7 @@ from caster.system.terminal import folded, printable
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.report.verdict_text import (
     WAIVER_WORDS,
+    broken_checks,
     failure_text,
     failures_text,
     outcome_text,
@@ -69,9 +70,8 @@ def junit(verdict: Verdict) -> str:
         for name, value in about.items():
             if value:
                 SubElement(properties, "property", name=name, value=value)
-    for check in verdict.checks:
-        if not check.ok:
-            add_case(suite, "candidate", check.name, "failure", check.what, check.name)
+    for check in broken_checks(verdict):
+        add_case(suite, "candidate", check.name, "failure", check.what, check.name)
     for scene in verdict.scenes:
         add_scene(suite, scene)
     for name in verdict.not_judged:

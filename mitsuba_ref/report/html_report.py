@@ -6,7 +6,6 @@ import re
 import shlex
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -29,6 +28,7 @@ from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import CODES, SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import (
+    broken_checks,
     counts_shown,
     failing_checks,
     failure_text,
@@ -54,7 +54,6 @@ class HtmlReport:
         self.index, self.data = report_folder(path)
         self.verdicts: list[SceneVerdict] = []
         self.thumbnails: dict[str, str] = {}  # of the scenes whose record is written
-        self._lock = threading.Lock()
         self._written = float("-inf")
         self._about, self._started = run_facts(), time.monotonic()
 
@@ -64,8 +63,7 @@ class HtmlReport:
         if found is not None:
             about = {"verdict": verdict.to_dict(), **found.about}
             write_record(self.data, verdict.name, {"about": about, **found.layers})
-            with self._lock:
-                self.thumbnails[verdict.name] = found.thumbnail
+            self.thumbnails[verdict.name] = found.thumbnail
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
@@ -198,9 +196,9 @@ SAME_AS_VERDICT = ("name", "path", "ok", "size", "hit_pixels", "failing", "adjud
 
 def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
     """One scene of the index. thumbnail: None for a scene without a record in the folder data."""
-    broken = [(check.name, check.ratio) for check in verdict.checks if not check.ok]
+    broken = [(check.name, check.ratio) for check in broken_checks(verdict)]
     failed = [(failure.check, failure.ratio) for failure in verdict.failures]
-    check, ratio = next(iter([*failed, *broken, verdict.worst]))
+    check, ratio = [*failed, *broken, verdict.worst][0]
     return {name: getattr(verdict, name) for name in SAME_AS_VERDICT} | {
         "file": "" if thumbnail is None else file_of(verdict.name),
         "thumbnail": thumbnail or "",

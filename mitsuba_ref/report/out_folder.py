@@ -7,7 +7,7 @@ from typing import Any
 
 from caster.description.errors import SceneError
 from caster.description.input_files import read_text
-from caster.system.atomic_files import OutputError, check_folder, write_text
+from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.report.results import json_text, plural
 
@@ -24,13 +24,13 @@ def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
 
 
 class OutFolder:
-    """The folder of --out during a run. Raises OutputError if it cannot be written."""
+    """The folder of --out during a run. Raises OutputError or OSError if it cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         """Removes the verdict of an earlier run, so that a killed run leaves none."""
         self.folder = check_folder(folder)
         self.earlier = dict(self._listed())  # scene -> its files, by the verdict.json of an earlier run
-        _remove(self.folder / VERDICT)
+        (self.folder / VERDICT).unlink(missing_ok=True)
 
     def _listed(self) -> Any:
         with suppress(SceneError, ValueError, TypeError, KeyError, RecursionError):
@@ -47,13 +47,6 @@ class OutFolder:
                 path = self.folder / str(name)
                 its = name == path.name and name.startswith(f"{scene.name}.")
                 if its and name not in scene.files and path.is_file():
-                    _remove(path)
+                    path.unlink()
                     removed += 1
         return f"{self.folder}: removed {plural(removed, 'file')} of an earlier run, now obsolete" if removed else ""
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot remove what an earlier run wrote: {error.strerror or error}") from error

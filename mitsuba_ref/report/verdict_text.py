@@ -39,27 +39,24 @@ def table_head(width: int) -> str:
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
-    first = mark_of(scene), printable(scene.name, keep=""), width
-    cells = row_cells(scene)
-    row, below = _line(*first, cells), [*scene.notes] if scene.bounce else []
-    if len(row) > LINE_CHARACTERS:
-        row, below = _line(*first, cells[:-1]), [cells[-1], *below]
-    lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)
-    return "\n".join([row, *chain.from_iterable(lines)])
+    """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own.
 
-
-def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
-    """Pixels that hit and that agree, their largest error over its bound, seconds or "kept" for a result of an earlier
-    run, and the other classes that occur."""
+    Instead of seconds, a result of an earlier run has "kept".
+    """
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
     classes = [f"{count} {name}" for name, count in spoken_counts(scene).items() if name != AGREE]
     covered = [scene.coverage.brief] if scene.coverage and scene.coverage.partial else []
-    others = ", ".join([*covered, *classes])
+    others = ", ".join([*covered, *classes]) or ("no answer" if scene.problem else "")
     pixels = ("-", "-") if scene.problem else (str(scene.hit_pixels), str(scene.counts[AGREE]))
-    return *pixels, worst, seconds, others or ("no answer" if scene.problem else "")
+    first = mark_of(scene), printable(scene.name, keep=""), width
+    numbers = *pixels, worst, seconds
+    row, below = _line(*first, (*numbers, others)), [*scene.notes] if scene.bounce else []
+    if len(row) > LINE_CHARACTERS:
+        row, below = _line(*first, numbers), [others, *below]
+    lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)
+    return "\n".join([row, *chain.from_iterable(lines)])
 
 
 def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
@@ -99,7 +96,7 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
-    for check in (check for check in scene.checks if not check.ok):
+    for check in broken_checks(scene):
         beyond = f"{check.ratio:.3g}x its bound; " if isfinite(check.ratio) else ""
         lines += [f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}", f"      replay:    {replay(scene)}"]
     if scene.failures:
@@ -133,6 +130,10 @@ def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = 
     yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
 
 
+def broken_checks(found: SceneVerdict | Verdict) -> list[SceneCheck]:
+    return [check for check in found.checks if not check.ok]
+
+
 def _failing(scene: SceneVerdict) -> str:
     """Failing pixels by class, as text."""
     counts = spoken_counts(scene) | {"reference wrong in no known way": scene.cases.get(UNLISTED, 0)}
@@ -154,21 +155,15 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
-    return "\n".join([f"{outcome_text(verdict)}, in {seconds:.1f} s", *summary_lines(verdict)])
-
-
-def summary_lines(verdict: Verdict) -> Iterator[str]:
-    """What a summary says beyond the outcome, a line each."""
+    lines = [f"{outcome_text(verdict)}, in {seconds:.1f} s", *waiver_lines(verdict)]
     counts = {AGREE: 0} | spoken_counts(*verdict.scenes)
     total = sum(counts.values()) or 1
     shares = [f"{count} {name} ({percent(count, total)})" for name, count in counts.items()]
-    yield from waiver_lines(verdict)
     if not all(scene.problem for scene in verdict.scenes):
-        yield f"hit pixels: {', '.join(shares)}"
-        yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic"
-    yield from candidate_lines(verdict)
-    yield from _note_lines(verdict)
-    yield from (f"reference:  {versions}" for versions in verdict.versions)
+        lines.append(f"hit pixels: {', '.join(shares)}")
+        lines.append(f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic")
+    versions = (f"reference:  {each}" for each in verdict.versions)
+    return "\n".join([*lines, *candidate_lines(verdict), *_note_lines(verdict), *versions])
 
 
 MAX_COVERAGE_LINES = 6  # of one scene
@@ -207,7 +202,7 @@ def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
     texts, said = [], dict[str | frozenset[SceneCheck], str]()
     for scene in failing_scenes(verdict.scenes):
-        broken = frozenset(check for check in scene.checks if not check.ok)
+        broken = frozenset(broken_checks(scene))
         first = scene.name if scene.failures else said.setdefault(scene.problem or broken, scene.name)
         words = scene.problem.partition("\n")[0] or ", ".join(sorted(check.name for check in broken))
         alike = f"FAIL  {scene.name}  {words}: as in {first}"
@@ -219,7 +214,7 @@ def short_text(verdict: Verdict) -> str:
     """The outcome, the names of failing scenes, and the simplest of them, in some ten lines of 80 characters."""
     failing = failing_scenes(verdict.scenes)
     lines = [f"{outcome_text(verdict)}{': ' if failing else ''}{', '.join(scene.name for scene in failing)}"]
-    lines += [f"FAIL  {check.name}: {check.what}" for check in verdict.checks if not check.ok]
+    lines += [f"FAIL  {check.name}: {check.what}" for check in broken_checks(verdict)]
     for scene in [simplest_failing(verdict.scenes) or failing[0]] if failing else ():
         # without bits and the ray, which the replay prints
         lines.append(re.sub(r" 0x[\w.+-]+|, along o .*", "", failure_text(scene)))
@@ -294,7 +289,7 @@ def failing_checks(scene: SceneVerdict) -> frozenset[str]:
     """The checks that a scene fails; `exact`, which accompanies most others, only if it fails alone."""
     if scene.problem:
         return frozenset([NO_ANSWER])
-    named = {*scene.failing_by, *(check.name for check in scene.checks if not check.ok)}
+    named = {*scene.failing_by, *(check.name for check in broken_checks(scene))}
     named |= {failure.check for failure in scene.failures}  # of a candidate, which are not counted by check
     return frozenset(named - {EXACT} or named)
 
@@ -315,9 +310,8 @@ def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     for scene in failing:
         for finding in scene.findings:
             sharing.setdefault(finding.what, []).append(scene)
-        for check in scene.checks:
-            if not check.ok:
-                sharing.setdefault(f"{check.name}: {check.what.splitlines()[0]}", []).append(scene)
+        for check in broken_checks(scene):
+            sharing.setdefault(f"{check.name}: {check.what.splitlines()[0]}", []).append(scene)
     for what, those in sorted(sharing.items(), key=lambda item: -len(item[1])):
         if len(those) >= MIN_FAILING_SCENES:
             kinds = ", ".join(sorted({kind for scene in those for kind in scene.composition.shapes}))

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -392,12 +393,14 @@ def test_the_textbook_caster_is_right_on_a_sphere_and_reported_what_is_wrong_ins
     assert found.findings[0].pixels > 0.5 * found.hit_pixels
 
 
-@pytest.mark.parametrize("name", ["trimesh_embree", "open3d_scene"])
-def test_the_peers_pass(judged, name):
-    """The run's header names those that are not installed."""
-    package = {"trimesh_embree": "embreex", "open3d_scene": "open3d"}[name]
+@pytest.mark.parametrize(("page", "package"), [("embree", "embreex"), ("open3d", "open3d")])
+def test_the_peers_pass(judged, page, package):
+    """The code of their recipes. The run's header names those that are not installed."""
+    text = (ROOT / f"docs/recipes/{page}.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n# \w+\.py\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed: pip install 'ray-reference[peers]'")
-    module = worked(name)
-    trace = getattr(module, "trace_with_our_normals", module.trace)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    trace = names.get("trace_with_our_normals", names["trace"])
     assert judged(trace, small("torus-smooth"), getattr(trace, "precision", None)).ok

@@ -74,7 +74,8 @@ def given(folder):
     kinds = ("camera", "random", "features", "silhouettes", "surface")
     rows = []
     for kind in kinds:
-        assert main(["rays", path, "--kind", kind, "--count", "60", "-o", str(folder / "r.npz")]) == 0
+        count = [] if kind == "camera" else ["--count", "60"]
+        assert main(["rays", path, "--kind", kind, *count, "-o", str(folder / "r.npz")]) == 0
         rows.append(np.load(folder / "r.npz")["rays"])
     rows = np.concatenate(rows)
     first = caster.cast(caster.load_scene(path), rows[:, :3], rows[:, 3:6]).t
@@ -290,9 +291,11 @@ HOSTILE_HITS = {
     "nothing known": ({"distance": np.ones(2)}, 4, "expected arrays of t"),
     "normals alone": ({"n": np.ones((2, 3))}, 2, "an array t, or any_hit"),
     "objects": ({"t": np.array([Bomb(), 1.0], object)}, 4, "allow_pickle=False"),
-    "ids of floats": ({"t": np.ones(2), "prim_id": np.ones(2)}, 1, "expected whole numbers"),
-    "normals of two": ({"t": np.ones(2), "n": np.ones((2, 2))}, 1, "(n, 3)"),
-    "any_hit of three": ({"any_hit": np.array([0, 3])}, 1, "expected 0 or 1"),
+    "ids of floats": ({"t": np.ones(2), "prim_id": np.ones(2)}, 2, "expected whole numbers"),
+    "normals of two": ({"t": np.ones(2), "n": np.ones((2, 2))}, 2, "(n, 3)"),
+    "t of one column": ({"t": np.ones((2, 1))}, 2, "t: expected shape (n,) = (2,), got (2, 1)"),
+    "t of integers": ({"t": np.ones(2, int)}, 2, "t: expected float32 or float64 numbers, got int64"),
+    "any_hit of three": ({"any_hit": np.array([0, 3])}, 2, "expected 0 or 1"),
 }
 
 

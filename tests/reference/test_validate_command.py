@@ -124,9 +124,10 @@ def test_thorough_makes_further_checks_and_a_plain_run_says_that_it_does_not(ref
     """Also where the plain verdict of the same scene is stored."""
     made = {}
     for words in ((), ("--thorough",)):
-        found = ref("validate", scenes / "ball.toml", "--json", scenes / "v.out", *words)
-        assert found.returncode == 0 and ("left out:   tests of our caster" in found.stdout) is (not words)
-        made[words] = {check["name"] for check in strict_json(scenes / "v.out")["scenes"][0]["checks"]}
+        found = ref("validate", scenes / "ball.toml", "--json", "-", *words)
+        assert found.returncode == 0 and ("left out:   tests of our caster" in found.stderr) is (not words)
+        made[words] = {check["name"] for check in json.loads(found.stdout)["scenes"][0]["checks"]}
+    assert not Path("-").exists()
     assert made["--thorough",] - made[()] == {"routes", "scaling"}
 
 

@@ -433,6 +433,11 @@ def test_files_of_the_same_names_are_compared_and_the_highest_code_counts(tmp_pa
         and "2 images: 0 pass, 2 fail" in out
     )
     assert [each["exit_code"] for each in json.loads(run("--json")[1])] == [4, 1]
+    (folders[1] / "a.exr").unlink()
+    (folders[1] / "left").mkdir()
+    write_exr(folders[1] / "left/C.EXR", EXACT, SCENE)
+    code, out = run("--max-pixels", "1")
+    assert code == 4 and "PASS  b.exr" in out and "FAIL  left/C.EXR" in out and "no such file" in out
     assert main(["compare", *map(str, folders), "--html", str(tmp_path / "page")]) == 2
 
 

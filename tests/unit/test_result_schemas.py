@@ -40,7 +40,7 @@ def test_verdicts_fit_also_where_a_ratio_is_infinite():
 
 
 def test_a_comparison_fits_also_where_a_value_is_not_a_number():
-    worst = Worst(channel="A", x=1, y=2, ours=NAN, reference=1.0, error=NAN, bound=0.0)
+    worst = Worst(channel="A", x=1, y=2, ours=NAN, reference=1.0, error=NAN, bound=0.0, ratio=float("inf"))
     group = GroupResult(name="hit", channels=("A",), bound="exact", agree=1, differ=0, non_finite=1, worst=worst)
     result = FileComparison(ours="a.exr", reference="b.exr", groups=(group,), exit_code=1)
     record = result.model_dump(mode="json")
