@@ -21,6 +21,7 @@ from pages import WIDTH, markdown, read_result, write_page
 
 from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
+from mitsuba_ref.bench.drivers import FILM
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS
@@ -111,7 +112,7 @@ def lines(run: Run) -> Iterator[str]:
     yield HEAD
     yield textwrap.fill(
         f"{len(run.scenes)} scenes of {it['size']} x {it['size']} pixels or as many rays, {it['threads']} threads, "
-        f"medians of {it['alternations']} alternations. Seed {it['seed']}.",
+        f"medians of {it['alternations']} alternations.",
         WIDTH,
     )
     if missing := sorted({*run.requested} - {scene.name for scene in run.scenes}):
@@ -123,7 +124,7 @@ def lines(run: Run) -> Iterator[str]:
     yield f"\n![Error against time, for each scene]({IMAGE_FOLDER}/pareto.png)\n"
     for scene in run.scenes:
         yield f"## {scene.name}\n"
-        aovs = f"; {', '.join(scene.aovs)}" if scene.aovs else ""
+        aovs = f"; {', '.join(scene.aovs)}" if scene.workload == FILM else ""
         yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives{aovs}.\n"
         yield markdown(rows(scene), rule="|---|" + "---:|" * (len(COLUMNS) - 1)) + "\n"
     yield READING.format(least=MIN_TURN_S, longest=MAX_CAST_S, sample=EXACT_RAYS)

@@ -10,8 +10,6 @@ from mitsuba_ref.bench.result import CANDIDATE_ROW
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import variants
 
-OURS, MITSUBA = "ours", "mitsuba"
-
 
 @dataclass(frozen=True)
 class TimedCaster:
@@ -19,7 +17,6 @@ class TimedCaster:
 
     key: str
     title: str
-    side: str
     driver: str  # as in Work
     workloads: tuple[str, ...] = (FILM, NEAREST)
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -40,16 +37,16 @@ class TimedCaster:
 
 def of_mitsuba(key: str, title: str, driver: str, mode: str, variant: str = variants.LLVM, **more: Any) -> TimedCaster:
     options = {"mode": mode, "variant": variant}
-    return TimedCaster(key, f"Mitsuba {title}", MITSUBA, f"mitsuba_drivers:{driver}", options=options, **more)
+    return TimedCaster(key, f"Mitsuba {title}", f"mitsuba_drivers:{driver}", options=options, **more)
 
 
 OWN, RAW, INTEGRATOR = "drivers:Ours", "RayIntersect", "Integrator"
 
 # Ratios are to the first caster.
 CASTERS = (
-    TimedCaster("ours", "ours, as planned", OURS, OWN, every_aov=True),
-    TimedCaster("ours-bvh", "ours, by BVH", OURS, OWN, (FILM,), {"culling": "bvh"}),
-    TimedCaster("ours-1-thread", "ours, one thread", OURS, OWN, threads=1, every_aov=True),
+    TimedCaster("ours", "ours, as planned", OWN, every_aov=True),
+    TimedCaster("ours-bvh", "ours, by BVH", OWN, (FILM,), {"culling": "bvh"}),
+    TimedCaster("ours-1-thread", "ours, one thread", OWN, threads=1, every_aov=True),
     of_mitsuba("raw-robust", "LLVM, robust, ray_intersect", RAW, ROBUST, every_aov=True),
     of_mitsuba("raw-default", "LLVM, default, ray_intersect", RAW, DEFAULT),
     of_mitsuba("aov-robust", "LLVM, robust, AOV integrator", INTEGRATOR, ROBUST, every_aov=True, workloads=(FILM,)),
@@ -70,4 +67,4 @@ def casters_for(scene: BenchScene, candidate: TimedCaster | None = None) -> list
 def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:
     """The row of a candidate; its film is made smaller until it is cast within MAX_CAST_S."""
     options = {"text": text, "precision": precision, "served": served, "folder": os.getcwd()}
-    return TimedCaster(CANDIDATE_ROW, text, CANDIDATE_ROW, "drivers:Candidate", options=options, first=32)
+    return TimedCaster(CANDIDATE_ROW, text, "drivers:Candidate", options=options, first=32)

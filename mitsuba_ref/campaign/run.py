@@ -33,7 +33,7 @@ class CampaignRun:
 
     def __init__(self, history: History, file: str, campaign: Campaign, text: str, units: list[Unit]) -> None:
         """file: of the campaign, and its text. Raises OutputError."""
-        self.history, self.file, self.campaign, self.units = history, file, campaign, units
+        self.history, self.file, self.campaign = history, file, campaign
         commit_here = commit(str(Path(file).parent))
         about = {"code": code_hash(), "git": commit_here, "machine": json.dumps(machine()), "campaign": text}
         self.number, self.found = history.begin(units, about)
@@ -85,7 +85,7 @@ HISTORY_SUFFIX = ".history.sqlite"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing to run or judged, 130 interrupted."""
+    """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing judged, 130 interrupted."""
     file = Path(args.file)
     if file.suffix.lower() not in (".toml", ".json"):
         if args.unit or args.history:
@@ -94,8 +94,6 @@ def run(args: argparse.Namespace) -> int:
             return show(history, args, ran=False)
     campaign, text = read_campaign(args.file)
     units = units_of(campaign)
-    if not units:
-        return report_error(f"{file}: nothing selected: an empty list leaves no unit", NOTHING_SELECTED)
     variants.require_variants()
     if args.unit:
         for name in (each for each in ("json", "html", "history", "strict") if getattr(args, each)):

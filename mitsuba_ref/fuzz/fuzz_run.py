@@ -10,6 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,15 +86,15 @@ class Drawing:
         chosen = (word for name, (value, usual) in more.items() if value != usual for word in (f"--{name}", str(value)))
         return ("--seed", str(self.seed), "--family", family, "--examples", f"{number}..{number}", *chosen)
 
-    def tried(self, number: int) -> tuple[Tally, list[Finding]]:
-        """What was checked of an example, and one finding of each kind."""
-        tried, tally = self.example(number), Tally(examples=1)
-        if self.candidate and not (tried.family.fits_float32 and tried.made.data["shape"]):
-            return Tally(), []
-        findings = first_of_each_kind(self._findings(tried, tally))
+    def tried(self, number: int) -> "Tried":
+        """An example, checked."""
+        example, tally = self.example(number), Tally(examples=1)
+        if self.candidate and not (example.family.fits_float32 and example.made.data["shape"]):
+            return Tried(number, Tally(), [])
+        findings = first_of_each_kind(self._findings(example, tally))
         tally.findings = len(findings)
         tally.kinds.update(finding.kind for finding in findings)
-        return tally, findings
+        return Tried(number, tally, findings)
 
     def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
         every, family, case = self.judge_every, tried.family, case_of(tried.made.data)
@@ -106,7 +107,15 @@ class Drawing:
         return findings + (find(case, "judged", tally) if judged else [])
 
 
-def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[tuple[Tally, list[Finding]]]:
+class Tried(NamedTuple):
+    """An example by its number, what was checked of it, and one finding of each kind."""
+
+    number: int
+    tally: Tally
+    findings: list[Finding]
+
+
+def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[Tried]:
     """Try examples in this process, one after the other."""
     return [drawing.tried(number) for number in numbers]
 
@@ -138,15 +147,13 @@ class FuzzRun:
         self.drawing = replace(self.drawing, types=types)
         self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
         at_once = 1 if self.here else EXAMPLES_A_CALL
-        for number, tally, findings in self._tried(self.numbers, at_once, self.deadline):
-            self._record(number, tally, findings)
-            self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
+        for tried in self._tried(self.numbers, at_once, self.deadline):
+            self._record(tried)
+            self.outcome.last_example, self.outcome.seconds = tried.number, time.monotonic() - start
             yield self.outcome
         self.outcome.interrupted = False
 
-    def _tried(
-        self, numbers: Iterable[int], at_once: int, deadline: float
-    ) -> Iterator[tuple[int, Tally, list[Finding]]]:
+    def _tried(self, numbers: Iterable[int], at_once: int, deadline: float) -> Iterator[Tried]:
         """What came of each example. Those of a call that ended its process are tried again, each by itself."""
         source = iter(numbers)
         batches, again = itertools.tee(iter(lambda: tuple(itertools.islice(source, at_once)), ()))
@@ -158,25 +165,25 @@ class FuzzRun:
         ):
             for outcome, batch in zip(outcomes, batches, strict=False):
                 if not isinstance(outcome.error, CallEnded):
-                    yield from ((number, *each) for number, each in zip(batch, outcome.value(), strict=True))
+                    yield from outcome.value()
                 elif len(batch) > 1:
                     yield from self._tried(batch, 1, float("inf"))
                 else:
                     finding = Finding("crash", f"{ENDED}: {outcome.error}")
-                    yield batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding]
+                    yield Tried(batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
                 if time.monotonic() >= deadline:
                     break
 
-    def _record(self, number: int, tally: Tally, findings: Sequence[Finding]) -> None:
-        if not tally.examples:
+    def _record(self, tried: Tried) -> None:
+        if not tried.tally.examples:
             return
-        tried = self.drawing.example(number)
-        family = tried.family.name
-        self.outcome.families.setdefault(family, Tally()).add(tally)
-        for finding in findings:
+        example = self.drawing.example(tried.number)
+        family = example.family.name
+        self.outcome.families.setdefault(family, Tally()).add(tried.tally)
+        for finding in tried.findings:
             kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
             if kept < self.keep:
-                self._keep(tried, finding)
+                self._keep(example, finding)
 
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""
@@ -193,9 +200,10 @@ class FuzzRun:
                 shrinker.run()
         finally:
             smallest = shrinker.finding
-            file = write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options)
-            files = str(file), str(unshrunk)
-            self.outcome.failures.append(Failure(finding.kind, smallest.what, family, found_by, *files, self.options))
+            file = str(write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options))
+            replay = shlex.join(["mitsuba-ref", "fuzz", "--replay", file, *self.options])
+            about = finding.kind, smallest.what, family, found_by
+            self.outcome.failures.append(Failure(*about, file, str(unshrunk), replay))
 
 
 def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:

@@ -62,7 +62,6 @@ class Family:
     closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
     fits_float32: bool = True  # so that Mitsuba can trace it
     always_judged: bool = False  # by Mitsuba in `fuzz`, unless none is
-    spawns: bool = False  # judged by `stress` are the origins of the rays that leave what its rays hit
 
     @property
     def error(self) -> str:
