@@ -45,8 +45,8 @@ READING = """## How to read it
   memory; or t and normal along rays that were on hand. All have loaded the scene and
   built what they build before, and everything is compiled; ours makes the rays and sorts the primitives onto the film
   in every image, while for `ray_intersect` the rays were made before, too.
-- **ours, as planned** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others;
-  for rays that are handed over, `caster.cast` with the surface of each hit. **by BVH** is the same image through it.
+- **ours** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others; for rays
+  that are handed over, `caster.cast` with the surface of each hit.
 - **diffuse** is light with shadows: the AOV integrator has `direct` inside. Ours adds ambient light to it.
 - A size behind a name: images of those who would take longer than {longest:g} s are made smaller.
 - **build**: milliseconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba
@@ -66,8 +66,6 @@ READING = """## How to read it
 # Colours after Okabe and Ito (2008), which people of any colour vision tell apart; markers differ as well.
 STYLE: dict[str, tuple[str, str]] = {
     "ours": ("#0072B2", "o"),
-    "ours-bvh": ("#0072B2", "s"),
-    "ours-1-thread": ("#0072B2", "v"),
     "raw-robust": ("#009E73", "o"),
     "raw-default": ("#D55E00", "o"),
     "aov-robust": ("#009E73", "^"),

@@ -96,7 +96,7 @@ class Driver:
 
 
 class Ours(Driver):
-    """Our caster. options: culling; default: the planned one."""
+    """Our caster."""
 
     precision = "float64"
 
@@ -124,24 +124,19 @@ class Ours(Driver):
         return int(self.scene.film.width * self.scene.film.height)
 
     def _render(self, scene: caster.Scene) -> None:
-        culling = self.work.options.get("culling")
-        self.caster.render(scene, self.work.aovs, threads=self.work.threads, culling=culling, dtype=np.float32)
+        self.caster.render(scene, self.work.aovs, threads=self.work.threads, dtype=np.float32)
 
 
 class Candidate(Driver):
     """A candidate that takes rays. options: those of `parse_candidate`, and the folder to run it in."""
 
     def __init__(self, work: Work) -> None:
-        from caster.description.errors import SceneError
         from mitsuba_ref.subjects.requests import parse_candidate
 
         super().__init__(work)
         options = work.options
         os.chdir(options["folder"])
-        try:
-            self.subject = parse_candidate(options["text"], options["precision"], served=options["served"])
-        except SceneError as error:
-            raise CannotRun(str(error)) from error
+        self.subject = parse_candidate(options["text"], options["precision"], served=options["served"])
 
     def build(self, size: int) -> None:
         """Prepare the scene in float32 numbers, and cast one ray."""

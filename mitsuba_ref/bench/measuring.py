@@ -41,17 +41,17 @@ class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
 
 @dataclass(frozen=True)
 class Settings:
-    size: int = 1024
-    alternations: int = 7
+    size: int
+    alternations: int
     threads: int = 1
 
 
 def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> ResidentProcess:
     """Start the process of a caster (worker.py), which may fail, crash or hang.
 
-    folder: as `write_scene` writes it; threads: unless the caster has its own.
+    folder: as `write_scene` writes it.
     """
-    work = Work(folder, scene.workload, caster.threads or threads, caster.driver, scene.aovs, caster.options)
+    work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
     environment = {**variants.environment_for(caster.variant), "PYTHONPATH": import_path()}
     with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
         fd = notices.fileno()

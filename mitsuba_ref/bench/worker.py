@@ -31,7 +31,7 @@ class Worker:
         request = json.loads(line)
         try:
             return json.dumps(getattr(self, request.pop("do"))(**request)).encode()
-        except (CannotRun, ImportError) as reason:
+        except CannotRun as reason:
             return json.dumps({"why": " ".join(str(reason).split())}).encode()
 
     def build(self, size: int) -> dict[str, Any]:

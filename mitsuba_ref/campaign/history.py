@@ -59,8 +59,8 @@ class History:
             self.database.row_factory = sqlite3.Row
             if create and not self.database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 self.database.executescript(f"BEGIN IMMEDIATE; {SCHEMA} COMMIT;")
-            names = ("application_id", "user_version")
-            if [self.database.execute(f"PRAGMA {name}").fetchone()[0] for name in names] != [APPLICATION, VERSION]:
+            pragmas = "SELECT application_id, user_version FROM pragma_application_id, pragma_user_version"
+            if tuple(self.database.execute(pragmas).fetchone()) != (APPLICATION, VERSION):
                 what = f"expected the history of a campaign, of version {VERSION}; this is another database"
                 raise OutputError(f"{self.path}: {what}")
             if (check := self.database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
@@ -136,8 +136,7 @@ class History:
                     {**about, "identity": identity, "state": RUNNING, "started": now(), "units": len(keys)},
                 )
                 run = int(inserted.lastrowid or 0)
-            known = {key for (key,) in database.execute("SELECT key FROM units")}
-            found = known.intersection(keys)
+            found = {key for (key,) in database.execute("SELECT key FROM units")}.intersection(keys)
             database.executemany("INSERT OR IGNORE INTO run_units VALUES (?, ?)", ((run, key) for key in found))
         return run, found
 

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import shlex
 import sys
 import time
@@ -44,6 +45,7 @@ class CampaignRun:
         """The result of each waiting unit, in their order. Raises SceneError for a subject that cannot be used."""
         state, start, of_key = INTERRUPTED, time.monotonic(), {unit.key: unit for unit in self.waiting}
         rays = sum(row["rays"] for row in self.history.units(self.number))  # of an earlier call
+        limits = self.campaign.budget
 
         def record(result: Result) -> Result:
             unit = of_key[result.key]
@@ -59,7 +61,7 @@ class CampaignRun:
                 closing(pool.map(run_unit, ((unit,) for unit in self.waiting), record)) as outcomes,
             ):
                 for unit in self.waiting:
-                    if self._used_up(rays, time.monotonic() - start):
+                    if time.monotonic() - start >= (limits.seconds or math.inf) or rays >= (limits.rays or math.inf):
                         state = BUDGET
                         return
                     outcome = next(outcomes)
@@ -73,10 +75,6 @@ class CampaignRun:
             state = COMPLETE
         finally:
             self.history.end(self.number, state)
-
-    def _used_up(self, rays: int, seconds: float) -> bool:
-        limits = self.campaign.budget
-        return seconds >= (limits.seconds or float("inf")) or rays >= (limits.rays or float("inf"))
 
 
 # ---- the command ----

@@ -13,7 +13,6 @@ from functools import cache
 from importlib.machinery import PathFinder
 from itertools import product, zip_longest
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
@@ -24,7 +23,6 @@ from caster.description.input_files import read_input
 from caster.rendering.threads import set_default_threads
 from caster.system.cluster import CallEnded
 from mitsuba_ref.campaign.description import AnyJob, Campaign, Contender, FilmJob, FuzzJob, SceneJob
-from mitsuba_ref.fuzz.checks import answered_types
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.fuzz.fuzz_run import EXAMPLES_A_CALL, Drawing, Example, try_examples
 from mitsuba_ref.hard import BY_NAME
@@ -45,7 +43,7 @@ from mitsuba_ref.subjects.subject import Subject
 MAX_UNITS = 200_000
 SUBJECT, REFERENCE = "subject", "reference"  # whose fault it is
 SCENE_PLACE = "@scene"  # in a replay, for the file of the failure's own scene; no shell quotes it
-UNNAMED = ("path", "inputs")  # parameters that are no part of a unit's name
+UNNAMED = ("path", "content", "inputs")  # parameters that are no part of a unit's name
 
 
 class Unit(NamedTuple):
@@ -88,7 +86,7 @@ class Result(NamedTuple):
     rays: int = 0
     hits: int = 0
     agree: int = 0  # rays whose answers were compared and are right
-    counts: Mapping[str, float] = MappingProxyType({})  # classes of pixels, or tallies of fuzz and stress
+    counts: Mapping[str, float] = {}  # classes of pixels, or tallies of fuzz and stress
     failures: tuple[Failure, ...] = ()
     seconds: float = 0.0
     processor: str = ""  # of the machine that ran it
@@ -112,13 +110,10 @@ def units_of(campaign: Campaign) -> list[Unit]:
     found: dict[str, Unit] = {}
     for turn in zip_longest(*(_parameters(job, campaign.seeds) for job in campaign.jobs)):
         for job, each in zip(campaign.jobs, turn, strict=True):
-            if each is None:
-                continue
-            parameters, inputs = each
-            for subject in campaign.subjects:
-                about = json.dumps([job.type, subject.model_dump(mode="json"), parameters], sort_keys=True)
+            for subject in campaign.subjects if each else ():
+                about = json.dumps([job.type, subject.model_dump(mode="json"), each], sort_keys=True)
                 files = own[subject.name]
-                unit = Unit(job.type, subject, parameters, key_of([around, about, files, inputs]), files)
+                unit = Unit(job.type, subject, each, key_of([around, about, files]), files)
                 if found.setdefault(unit.name, unit).key != unit.key:
                     raise SceneError(f"two units are called '{unit.name}': put scenes of one name into one job")
         if len(found) > MAX_UNITS:
@@ -126,38 +121,42 @@ def units_of(campaign: Campaign) -> list[Unit]:
     return list(found.values())
 
 
-def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str, Any], str]]:
-    """Parameters of each unit of a job, and a hash of the files it reads."""
+def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[dict[str, Any]]:
+    """Parameters of each unit of a job, of a scene file with hashes of its content."""
     if isinstance(job, SceneJob):
         for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
             key = _scene_key(path)
             for size in job.sizes or (None,):
                 inputs = with_inputs_hash(SceneEntry("", path, size)).inputs
                 for bounce in range(job.bounces + 1):
-                    yield {"scene": name, "path": path, "inputs": inputs, "size": size, "bounce": bounce}, key
+                    yield {
+                        "scene": name,
+                        "path": path,
+                        "content": key,
+                        "inputs": inputs,
+                        "size": size,
+                        "bounce": bounce,
+                    }
     elif isinstance(job, FilmJob):
         names = ("seed", "scene", "family", "size", "bounce")
         for values in product(seeds, range(job.scenes), job.families, job.sizes, range(job.bounces + 1)):
-            yield dict(zip(names, values, strict=True)), ""
+            yield dict(zip(names, values, strict=True))
     elif isinstance(job, FuzzJob):
         for seed, first, family, rays in product(
             seeds, range(0, job.examples, EXAMPLES_A_CALL), job.families, job.rays
         ):
-            yield (
-                {
-                    "seed": seed,
-                    "family": family,
-                    "first": first,
-                    "examples": min(EXAMPLES_A_CALL, job.examples - first),
-                    "rays": rays,
-                    "judge_every": job.judge_every,
-                },
-                "",
-            )
+            yield {
+                "seed": seed,
+                "family": family,
+                "first": first,
+                "examples": min(EXAMPLES_A_CALL, job.examples - first),
+                "rays": rays,
+                "judge_every": job.judge_every,
+            }
     else:
-        for seed, family, count in product(seeds, job.families, job.rays or (None,)):
+        for seed, family, count in product(seeds, job.families, job.rays):
             for value in job.values or BY_NAME[family].values:
-                yield {"seed": seed, "family": family, "value": value, "rays": count}, ""
+                yield {"seed": seed, "family": family, "value": value, "rays": count}
 
 
 def _scene_key(path: str) -> str:
@@ -245,11 +244,7 @@ def _run_film(unit: Unit, subject: Subject | None) -> Result:
         options = (*sized, *words)
         entry = SceneEntry(at["scene"], at["path"], size, options=options, bounce=bounce, inputs=at["inputs"])
     found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
-    result = _of_verdict(found, scene.to_toml() if drawn else "")
-    if drawn or found.ok or found.unsupported or result.failures:
-        return result
-    what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
-    return result._replace(failures=(Failure(SUBJECT, "evidence", what, 1, found.replay),))
+    return _of_verdict(found, scene.to_toml() if drawn else "")
 
 
 def _of_verdict(found: SceneVerdict, whole: str) -> Result:
@@ -279,6 +274,9 @@ def _failures(found: SceneVerdict, whole: str) -> Iterator[Failure]:
         side, name = (SUBJECT, UNLISTED) if case == UNLISTED else (REFERENCE, f"case {case}: {defect_name(int(case))}")
         one = alone.get(UNLISTED if case == UNLISTED else f"case-{case}")
         yield Failure(side, name, "", count, *_alone(one, found.replay, whole))
+    if not (whole or found.problem or found.has_evidence):
+        what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
+        yield Failure(SUBJECT, "evidence", what, 1, found.replay)
 
 
 def _alone(text: str | None, replay: str, whole: str) -> tuple[str, str]:
@@ -311,8 +309,7 @@ def _one_ray_scenes(found: SceneVerdict) -> dict[str, str]:
 
 def _run_fuzz(unit: Unit, subject: Subject | None) -> Result:
     at = unit.parameters
-    types = (answered_types(subject),) if subject else ()
-    drawing = Drawing(at["seed"], (at["family"],), at["judge_every"], at["rays"], subject, *types)
+    drawing = Drawing(at["seed"], (at["family"],), at["judge_every"], at["rays"], subject)
     total, failures = Tally(), list[Failure]()
     numbers = range(at["first"], at["first"] + at["examples"])
     for tried in try_examples(drawing, numbers):

@@ -158,7 +158,7 @@ def run_bench(args: argparse.Namespace) -> int:
         recorded["threads"] = threads or int(machine[CORES].partition(" ")[0])
         report_run(Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done)), args)
     rows = [row for result in done for row in result.rows]
-    ours_ran = all(row.ran for row in rows if row.key.startswith(REFERENCE_ROW))
+    ours_ran = all(row.ran for row in rows if row.key == REFERENCE_ROW)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 

@@ -58,7 +58,7 @@ def fuzz_run_of(args: argparse.Namespace) -> FuzzRun:
 
 def replay(args: argparse.Namespace) -> int:
     """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
-    files = scene_files([args.replay])
+    files = [each for each in scene_files([args.replay]) if not each.endswith(".json")]  # such as that of --json
     if not files:
         print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
         return NOTHING_SELECTED

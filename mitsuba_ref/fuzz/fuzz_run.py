@@ -7,7 +7,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -31,9 +31,8 @@ from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
 
-RAYS_PER_EXAMPLE, JUDGE_EVERY = 40, 16  # rays: before those with limits
+RAYS_PER_EXAMPLE = 40  # before those with limits
 EXAMPLES_A_CALL = 10  # 0.03 s of CPU each, 0.1 s and more where Mitsuba judges
-KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shrunk and kept; all are counted
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
 ENDED = "the process that casts and judges ended"
 MITSUBA_SHRINK_ATTEMPTS = SHRINK_ATTEMPTS // 10  # each traces the scene with Mitsuba
@@ -53,8 +52,11 @@ class Example:
 
     @cached_property
     def made(self) -> HardScene:
+        """The scene, which may have no shape left."""
         rng, family = self.random(SCENE_STREAM), self.family
-        return family.make(rng, float(rng.choice(family.values)) if family.values else 0.0).of_types(self.types)
+        made = family.make(rng, float(rng.choice(family.values)) if family.values else 0.0)
+        shapes = [each for each in made.data["shape"] if each["type"] in self.types]
+        return made._replace(data={**made.data, "shape": shapes})
 
     def random(self, stream: int) -> Rng:
         """Random numbers of the example, independent for each stream."""
@@ -68,23 +70,30 @@ class Example:
 class Drawing:
     """What all examples of a run have in common; each is tried by itself, in any process."""
 
-    seed: int = 0
-    families: tuple[str, ...] = tuple(BY_NAME)
-    # One example in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none.
-    judge_every: int = JUDGE_EVERY
-    rays: int = RAYS_PER_EXAMPLE
-    candidate: Subject | None = None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
-    types: tuple[str, ...] = shape_types()  # of the shapes that the scenes keep
+    seed: int
+    families: tuple[str, ...]
+    judge_every: int  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
+    rays: int  # of an example
+    candidate: Subject | None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
+
+    @cached_property
+    def types(self) -> tuple[str, ...]:
+        """Of the shapes that the scenes keep: those that the candidate does not decline."""
+        return answered_types(self.candidate or OURS)
 
     def example(self, number: int) -> Example:
         return Example(self.seed, number, BY_NAME[self.families[number % len(self.families)]], self.types)
 
     def words(self, number: int) -> tuple[str, ...]:
         """The options of `fuzz` that try one example."""
-        family = self.example(number).family.name
-        more = {"rays": (self.rays, RAYS_PER_EXAMPLE), "judge-every": (self.judge_every, JUDGE_EVERY)}
-        chosen = (word for name, (value, usual) in more.items() if value != usual for word in (f"--{name}", str(value)))
-        return ("--seed", str(self.seed), "--family", family, "--examples", f"{number}..{number}", *chosen)
+        options = {
+            "--seed": self.seed,
+            "--family": self.example(number).family.name,
+            "--examples": f"{number}..{number}",
+            "--rays": self.rays,
+            "--judge-every": self.judge_every,
+        }
+        return tuple(str(word) for item in options.items() for word in item)
 
     def tried(self, number: int) -> "Tried":
         """An example, checked."""
@@ -125,13 +134,13 @@ class FuzzRun:
     """Tries many examples. `outcome` is complete at any moment: an interruption loses nothing."""
 
     drawing: Drawing
-    numbers: Iterable[int] = field(default_factory=itertools.count)
-    seconds: float | None = None
-    folder: Path = Path("fuzz-failures")
-    keep: int = KEPT_PER_KIND_AND_FAMILY
-    options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
-    engine: str = LOCAL
-    workers: int | None = None  # of the engine; None: one a core
+    numbers: Iterable[int]
+    seconds: float | None
+    folder: Path
+    keep: int  # findings of one kind in one family that are shrunk and kept; all are counted
+    options: tuple[str, ...]  # of the command line that name the candidate, for replays
+    engine: str
+    workers: int | None  # of the engine; None: one a core
 
     def __post_init__(self) -> None:
         self.subject = self.drawing.candidate or OURS
@@ -143,9 +152,7 @@ class FuzzRun:
         """Yield the outcome after each example, in their order."""
         start = time.monotonic()
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
-        types = answered_types(self.subject)
-        self.drawing = replace(self.drawing, types=types)
-        self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
+        self.outcome.left_out = tuple(each for each in shape_types() if each not in self.drawing.types)
         at_once = 1 if self.here else EXAMPLES_A_CALL
         for tried in self._tried(self.numbers, at_once, self.deadline):
             self._record(tried)

@@ -1,7 +1,7 @@
 """Families of hard scenes: a name, at most one parameter, and a function that makes a scene with rays for it."""
 
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -24,12 +24,6 @@ class HardScene(NamedTuple):
 
     def scene(self) -> Scene:
         return scene_of(self.data)
-
-    def of_types(self, types: Collection[str]) -> "HardScene":
-        """The scene without shapes of other types; it may have none left."""
-        return self._replace(
-            data={**self.data, "shape": [each for each in self.data["shape"] if each["type"] in types]}
-        )
 
 
 def plain(data: Fields) -> Fields:

@@ -398,14 +398,14 @@ def sweep(
         return SweepResult.of(family, seconds=time.perf_counter() - start, declined=declined[0])
     results = []
     for ready, answer in zip(settings, given, strict=True):
-        results.append(found := score_setting(ready, casters, answer))
+        found = score_setting(ready, casters, answer)
         subject = found.witnesses[casters[0].key]
         if folder and isinstance(subject, Score) and subject.breaks:
             file = check_folder(folder) / f"{family.name}-{ready.x:g}.toml"
             head = f"mitsuba-ref stress: ray {subject.first_wrong[0]} of {family.name}, {family.quantity} {ready.x:g}"
             write_text(file, f"# {head}\n\n{subject.scene}")
-            replay = shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words])
-            results[-1] = replace(found, replay=replay)
+            found = replace(found, replay=shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words]))
+        results.append(found)
     return SweepResult.of(family, results, seconds=time.perf_counter() - start)
 
 
