@@ -21,6 +21,7 @@ from pages import WIDTH, markdown, read_result, write_page
 
 from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
+from mitsuba_ref.bench.drivers import FILM
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS
@@ -44,8 +45,8 @@ READING = """## How to read it
   memory; or t and normal along rays that were on hand. All have loaded the scene and
   built what they build before, and everything is compiled; ours makes the rays and sorts the primitives onto the film
   in every image, while for `ray_intersect` the rays were made before, too.
-- **ours, as planned** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others;
-  for rays that are handed over, `caster.cast` with the surface of each hit. **by BVH** is the same image through it.
+- **ours** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others; for rays
+  that are handed over, `caster.cast` with the surface of each hit.
 - **diffuse** is light with shadows: the AOV integrator has `direct` inside. Ours adds ambient light to it.
 - A size behind a name: images of those who would take longer than {longest:g} s are made smaller.
 - **build**: milliseconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba
@@ -65,8 +66,6 @@ READING = """## How to read it
 # Colours after Okabe and Ito (2008), which people of any colour vision tell apart; markers differ as well.
 STYLE: dict[str, tuple[str, str]] = {
     "ours": ("#0072B2", "o"),
-    "ours-bvh": ("#0072B2", "s"),
-    "ours-1-thread": ("#0072B2", "v"),
     "raw-robust": ("#009E73", "o"),
     "raw-default": ("#D55E00", "o"),
     "aov-robust": ("#009E73", "^"),
@@ -111,7 +110,7 @@ def lines(run: Run) -> Iterator[str]:
     yield HEAD
     yield textwrap.fill(
         f"{len(run.scenes)} scenes of {it['size']} x {it['size']} pixels or as many rays, {it['threads']} threads, "
-        f"medians of {it['alternations']} alternations. Seed {it['seed']}.",
+        f"medians of {it['alternations']} alternations.",
         WIDTH,
     )
     if missing := sorted({*run.requested} - {scene.name for scene in run.scenes}):
@@ -123,7 +122,7 @@ def lines(run: Run) -> Iterator[str]:
     yield f"\n![Error against time, for each scene]({IMAGE_FOLDER}/pareto.png)\n"
     for scene in run.scenes:
         yield f"## {scene.name}\n"
-        aovs = f"; {', '.join(scene.aovs)}" if scene.aovs else ""
+        aovs = f"; {', '.join(scene.aovs)}" if scene.workload == FILM else ""
         yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives{aovs}.\n"
         yield markdown(rows(scene), rule="|---|" + "---:|" * (len(COLUMNS) - 1)) + "\n"
     yield READING.format(least=MIN_TURN_S, longest=MAX_CAST_S, sample=EXACT_RAYS)

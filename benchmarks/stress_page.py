@@ -18,7 +18,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from pages import WIDTH, markdown, read_result, write_page
 
-from mitsuba_ref.stress import origins, sweeps
 from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.sweeps import CASTERS, OURS, Score, SettingResult, StressRun, SweepResult
 
@@ -40,7 +39,7 @@ STYLE: dict[str, dict[str, Any]] = {
     "llvm": {"color": "#D55E00", "marker": "x", "ms": 7, "lw": 1.5, "ls": "-.", "zorder": 4},
     "llvm-robust": {"color": "#009E73", "marker": "^", "ms": 4, "lw": 1.2, "zorder": 5},
 }
-BOUNDS = {"float32": ("predicted bound of float32", "--"), "float64": ("predicted bound of ours, float64", ":")}
+BOUNDS = {"bound32": ("predicted bound of float32", "--"), "bound64": ("predicted bound of ours, float64", ":")}
 AXIS_LOW, AXIS_HIGH = 1e-18, 1e3  # errors of nothing, and those by which all digits are lost, show as these
 FONT, OTHERS = "'DejaVu Sans'", ", Verdana, sans-serif"  # the one that Matplotlib measures with; a viewer's
 
@@ -90,12 +89,12 @@ def lines(run: StressRun) -> Iterator[str]:
         if isinstance(sweep, OriginSweep):
             yield f"## {sweep.name}\n\n{sweep.title[0].upper()}{sweep.title[1:]}. Each cell counts self-hits/skipped"
             yield "surfaces/wrong sides of secondary rays ([method.md](../method.md#origins-of-secondary-rays)).\n"
-            yield f"{markdown(origins.rows(sweep))}\n"
+            yield f"{markdown(sweep.rows())}\n"
 
 
 def outcome(run: StressRun) -> Iterator[str]:
     settings = [setting for sweep in casts(run) for setting in sweep.settings]
-    rays, adjudicated = sum(each.rays for each in settings), sum(each.exact.adjudicated for each in settings)
+    rays, adjudicated = sum(each.rays for each in settings), sum(each.adjudicated for each in settings)
     own = [score for each in settings if isinstance(score := each.witnesses[OURS.key], Score)]
     wrong, beyond = (sum(getattr(score, name) for score in own) for name in ("wrong_masks", "beyond"))
     worst = max((score.worst for score in own if score.worst is not None), default=0.0)
@@ -115,7 +114,7 @@ def summary(run: StressRun) -> Iterator[str]:
     yield "## Where each breaks down\n"
     rows = [["sweep", "stressed quantity", *(caster.title for caster in CASTERS)]]
     for sweep in casts(run):
-        found = [sweeps.breakdown(sweep, caster.key) for caster in CASTERS]
+        found = [sweep.breakdown(caster.key) for caster in CASTERS]
         rows.append([f"[{sweep.name}](#{sweep.name})", sweep.quantity, *found])
     yield markdown(rows)
     yield ""
@@ -129,9 +128,9 @@ def section(sweep: SweepResult) -> Iterator[str]:
     yield f"![{name}: errors and wrong answers over the {sweep.quantity}]({image})\n"
     yield from (f"FAIL: {problem}\n" for problem in sweep.problems)
     if not sweep.misses:
-        yield f"{sweeps.leaks(sweep).capitalize()}.\n"
+        yield f"{sweep.leaks().capitalize()}.\n"
     yield "<details><summary>numbers</summary>\n"
-    yield markdown(sweeps.rows(sweep))
+    yield markdown(sweep.rows())
     yield "\n</details>\n"
 
 
@@ -149,11 +148,11 @@ def plot(sweep: SweepResult) -> bytes:
         figure = Figure(figsize=(8.4, 6.2), layout="constrained")
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.8])
         for name, (label, dashes) in BOUNDS.items():
-            bound = numbers([getattr(setting.bound, name) for setting in sweep.settings])
+            bound = numbers([getattr(setting, name) for setting in sweep.settings])
             above.plot(x, np.clip(bound, AXIS_LOW, AXIS_HIGH), lw=1.3, color="#444444", ls=dashes, label=label)
         for caster in sweep.casters:
             key, style = caster.key, STYLE[caster.key]
-            place = sweeps.breakdown(sweep, key)
+            place = sweep.breakdown(key)
             label = f"{caster.title}: {'' if sweep.absence(key) else 'breaks down at '}{place}"
             error = numbers([value(setting, key, "error") for setting in sweep.settings])
             above.plot(x, np.clip(error, AXIS_LOW, AXIS_HIGH), label=label, **style)

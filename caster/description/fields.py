@@ -38,7 +38,7 @@ from caster.description.errors import (
     join_words,
 )
 
-__all__ = ["Camera", "Count", "Description", "Index", "Positive", "Shape"]
+__all__ = ["Camera", "Count", "Description", "Index", "Positive", "RowOf", "Shape"]
 
 # ---- numbers and vectors ----
 

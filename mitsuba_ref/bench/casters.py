@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mitsuba_ref.bench.drivers import AOVS, DEFAULT, FILM, NEAREST, ROBUST
-from mitsuba_ref.bench.result import CANDIDATE_ROW
+from mitsuba_ref.bench.result import CANDIDATE_ROW, REFERENCE_ROW
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import variants
-
-OURS, MITSUBA = "ours", "mitsuba"
 
 
 @dataclass(frozen=True)
@@ -19,13 +17,10 @@ class TimedCaster:
 
     key: str
     title: str
-    side: str
     driver: str  # as in Work
     workloads: tuple[str, ...] = (FILM, NEAREST)
     options: Mapping[str, Any] = field(default_factory=dict)
-    threads: int | None = None  # instead of those of the run
     first: int = 0  # pixels a side of the first cast, where the whole film may take too long; 0: the whole film
-    every_aov: bool = False  # whether it gives more than depth and normal
 
     @property
     def variant(self) -> str:
@@ -40,19 +35,17 @@ class TimedCaster:
 
 def of_mitsuba(key: str, title: str, driver: str, mode: str, variant: str = variants.LLVM, **more: Any) -> TimedCaster:
     options = {"mode": mode, "variant": variant}
-    return TimedCaster(key, f"Mitsuba {title}", MITSUBA, f"mitsuba_drivers:{driver}", options=options, **more)
+    return TimedCaster(key, f"Mitsuba {title}", f"mitsuba_drivers:{driver}", options=options, **more)
 
 
-OWN, RAW, INTEGRATOR = "drivers:Ours", "RayIntersect", "Integrator"
+RAW, INTEGRATOR = "RayIntersect", "Integrator"
 
 # Ratios are to the first caster.
 CASTERS = (
-    TimedCaster("ours", "ours, as planned", OURS, OWN, every_aov=True),
-    TimedCaster("ours-bvh", "ours, by BVH", OURS, OWN, (FILM,), {"culling": "bvh"}),
-    TimedCaster("ours-1-thread", "ours, one thread", OURS, OWN, threads=1, every_aov=True),
-    of_mitsuba("raw-robust", "LLVM, robust, ray_intersect", RAW, ROBUST, every_aov=True),
+    TimedCaster(REFERENCE_ROW, "ours", "drivers:Ours"),
+    of_mitsuba("raw-robust", "LLVM, robust, ray_intersect", RAW, ROBUST),
     of_mitsuba("raw-default", "LLVM, default, ray_intersect", RAW, DEFAULT),
-    of_mitsuba("aov-robust", "LLVM, robust, AOV integrator", INTEGRATOR, ROBUST, every_aov=True, workloads=(FILM,)),
+    of_mitsuba("aov-robust", "LLVM, robust, AOV integrator", INTEGRATOR, ROBUST, workloads=(FILM,)),
     of_mitsuba(
         "scalar-aov", "scalar, robust, AOV integrator", INTEGRATOR, ROBUST, variants.SCALAR, first=32, workloads=(FILM,)
     ),
@@ -61,13 +54,12 @@ BY_KEY = {caster.key: caster for caster in CASTERS}
 
 
 def casters_for(scene: BenchScene, candidate: TimedCaster | None = None) -> list[TimedCaster]:
-    """The casters that give a scene's AOVs in its workload."""
-    plain = set(scene.aovs) <= set(AOVS)
-    casters = [each for each in CASTERS if scene.workload in each.workloads and (plain or each.every_aov)]
+    """The casters of a scene's workload; a candidate gives depth and normal alone."""
+    casters = [each for each in CASTERS if scene.workload in each.workloads]
     return casters + ([candidate] if candidate and scene.aovs == AOVS else [])
 
 
 def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:
     """The row of a candidate; its film is made smaller until it is cast within MAX_CAST_S."""
     options = {"text": text, "precision": precision, "served": served, "folder": os.getcwd()}
-    return TimedCaster(CANDIDATE_ROW, text, CANDIDATE_ROW, "drivers:Candidate", options=options, first=32)
+    return TimedCaster(CANDIDATE_ROW, text, "drivers:Candidate", options=options, first=32)

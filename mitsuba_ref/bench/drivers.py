@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,11 @@ class Work:
     aovs: tuple[str, ...] = AOVS
     options: Mapping[str, Any] = field(default_factory=dict)  # its own
 
+    def rays(self, rows: Sequence[int] | slice) -> tuple[Array, Array]:
+        """o, d (n, 3) float32 of some of the scene's rays."""
+        with np.load(Path(self.folder) / RAYS_FILE) as file:
+            return file["o"][rows], file["d"][rows]
+
 
 class CannotRun(Exception):  # noqa: N818 - the reason of an empty row, not an error
     """The reason of a row without numbers."""
@@ -71,10 +76,9 @@ class Driver:
 
     def take_rays(self, size: int) -> None:
         """Prepare the rays in the folder: all of them, or size * size of them, spread evenly."""
-        with np.load(Path(self.work.folder) / RAYS_FILE) as file:
-            o, d = file["o"], file["d"]
-        some = slice(None) if len(o) <= size * size else np.linspace(0, len(o) - 1, size * size).astype(int)
-        self.count = len(o[some])
+        o, d = self.work.rays(slice(None))
+        some = np.linspace(0, len(o) - 1, min(len(o), size * size)).astype(int)
+        self.count = len(some)
         self.rays = self.prepare(o[some], d[some])
 
     def cast(self) -> int:
@@ -86,20 +90,20 @@ class Driver:
         """(n,) float64 t of rays (n, 3) float32, inf on a miss."""
         return np.array(self.trace(self.prepare(o, d)), np.float64)
 
-    @property
-    def scene_file(self) -> Path:
-        return Path(self.work.folder) / SCENE_FILE
+    def scene_of_size(self, size: int) -> caster.Scene:
+        scene: caster.Scene = pickle.loads((Path(self.work.folder) / SCENE_FILE).read_bytes())
+        return scene.with_film(width=size, height=size)
 
 
 class Ours(Driver):
-    """Our caster. options: culling; default: the planned one."""
+    """Our caster."""
 
     precision = "float64"
 
     def build(self, size: int) -> None:
         import caster
 
-        self.caster, self.scene = caster, pickle.loads(self.scene_file.read_bytes()).with_film(width=size, height=size)
+        self.caster, self.scene = caster, self.scene_of_size(size)
         if self.work.workload == FILM:
             self._render(self.scene.with_film(width=WARM_UP_SIDE, height=WARM_UP_SIDE))
         else:
@@ -120,35 +124,28 @@ class Ours(Driver):
         return int(self.scene.film.width * self.scene.film.height)
 
     def _render(self, scene: caster.Scene) -> None:
-        culling = self.work.options.get("culling")
-        self.caster.render(scene, self.work.aovs, threads=self.work.threads, culling=culling, dtype=np.float32)
+        self.caster.render(scene, self.work.aovs, threads=self.work.threads, dtype=np.float32)
 
 
 class Candidate(Driver):
     """A candidate that takes rays. options: those of `parse_candidate`, and the folder to run it in."""
 
     def __init__(self, work: Work) -> None:
-        from caster.description.errors import SceneError
         from mitsuba_ref.subjects.requests import parse_candidate
 
         super().__init__(work)
         options = work.options
         os.chdir(options["folder"])
-        try:
-            self.subject = parse_candidate(options["text"], options["precision"], served=options["served"])
-        except SceneError as error:
-            raise CannotRun(str(error)) from error
+        self.subject = parse_candidate(options["text"], options["precision"], served=options["served"])
 
     def build(self, size: int) -> None:
         """Prepare the scene in float32 numbers, and cast one ray."""
         from mitsuba_ref.reference.shared_input import model_of, packed_float32
         from mitsuba_ref.subjects.subject import CastRequest
 
-        scene: caster.Scene = pickle.loads(self.scene_file.read_bytes())
-        one = self.prepare(*FIRST_RAY)
-        folder = Path(self.work.folder) / f"candidate-{size}"
+        scene, one = self.scene_of_size(size), self.prepare(*FIRST_RAY)
         model = model_of(scene, packed_float32(scene), one)
-        self.request = CastRequest(scene.with_film(width=size, height=size), model, one, folder)
+        self.request = CastRequest(scene, model, one, Path(self.work.folder) / f"candidate-{size}")
         self.trace(one)
 
     def prepare(self, o: Array, d: Array) -> Any:

@@ -2,8 +2,6 @@
 
 import os
 import platform
-import re
-from pathlib import Path
 
 from caster import __version__
 from caster.rendering.threads import core_count
@@ -13,14 +11,11 @@ from mitsuba_ref.report.html_report import commit
 from mitsuba_ref.report.results import libllvm
 
 LOAD, CORES = "load before", "processors used"
-CPU_INFO = Path("/proc/cpuinfo")  # of Linux
 
 
 def machine_properties() -> dict[str, str]:
-    named = re.search(r"model name\s*: (.*)", CPU_INFO.read_text(errors="replace")) if CPU_INFO.exists() else None
     return {
         **machine(),
-        **({"processor": named[1]} if named else {}),
         CORES: f"{core_count()} of {os.cpu_count() or 1}",
         "kernel": platform.release(),
         LOAD: f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",

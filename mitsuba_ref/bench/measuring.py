@@ -1,6 +1,7 @@
 """Timing: ray casters in processes of their own take turns, round after round."""
 
 import json
+import math
 import os
 import sys
 import time
@@ -13,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.bench.casters import MITSUBA, TimedCaster
-from mitsuba_ref.bench.drivers import AOVS, FILM, Work
+from mitsuba_ref.bench.casters import TimedCaster
+from mitsuba_ref.bench.drivers import AOVS, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
-from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
+from mitsuba_ref.bench.scoring import sampled_rows, score, write_scene
+from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.judge.adjudication import ExactHits
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
 
@@ -38,18 +41,17 @@ class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
 
 @dataclass(frozen=True)
 class Settings:
-    size: int = 1024
-    alternations: int = 7
+    size: int
+    alternations: int
     threads: int = 1
-    seed: int = 0
 
 
 def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> ResidentProcess:
     """Start the process of a caster (worker.py), which may fail, crash or hang.
 
-    folder: as `write_scene` writes it; threads: unless the caster has its own.
+    folder: as `write_scene` writes it.
     """
-    work = Work(folder, scene.workload, caster.threads or threads, caster.driver, scene.aovs, caster.options)
+    work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
     environment = {**variants.environment_for(caster.variant), "PYTHONPATH": import_path()}
     with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
         fd = notices.fileno()
@@ -79,15 +81,12 @@ class CasterRun:
         """The reply to {"do": ...}. Raises CasterEnded; the process is then gone, too."""
         assert self.process is not None
         try:
-            line = self.process.ask(json.dumps(request).encode(), REQUEST_TIMEOUT_S)
-            reply: dict[str, Any] = json.loads(line)
+            reply: dict[str, Any] = json.loads(self.process.ask(json.dumps(request).encode(), REQUEST_TIMEOUT_S))
         except ProcessEnded as ended:
             end = ended.end
             words = ["died", exit_name(end.code or 0), *end.output.splitlines()[-1:]]
             why = f"no answer within {REQUEST_TIMEOUT_S:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
             raise CasterEnded(why) from None
-        except ValueError:
-            reply = {"why": f"unexpected reply: {line[:LAST_WORDS]!r}"}
         if "why" in reply:
             self.process.close()
             raise CasterEnded(reply["why"])
@@ -113,23 +112,20 @@ class CasterRun:
         self.row["rays"] = found["rays"]
         self.seconds.append(found["seconds"])
 
-    def measure_errors(self, truth: ExactAnswers, folder: Path) -> None:
-        rays, out = folder / "judged.npz", folder / f"{self.caster.key}.npy"
-        np.savez(rays, o=truth.o, d=truth.d)
-        precision = self.request(do="answer", rays=str(rays), out=str(out))["precision"]
-        self.row["score"] = truth.score(np.load(out), precision, reference=self.caster.side == MITSUBA)
+    def measure_errors(self, exact: ExactHits, rows: Array) -> None:
+        found = self.request(do="answer", rows=rows.tolist())
+        t, is_reference = np.array(found["t"]), bool(self.caster.variant)
+        self.row["score"] = score(exact, t, found["precision"], reference=is_reference)
 
     def result(self) -> Row:
         it = self.caster
-        return Row(it.key, it.title, it.side, size=self.size, seconds=tuple(self.seconds), **self.row)
+        return Row(it.key, it.title, size=self.size, seconds=tuple(self.seconds), **self.row)
 
 
 def fitting_size(first: int, seconds: float, most: int) -> int:
-    """The largest `first` times a power of two, up to `most`, that should be cast within MAX_CAST_S."""
-    size = min(first, most)
-    while 2 * size <= most and seconds * (2 * size / first) ** 2 <= MAX_CAST_S:
-        size *= 2
-    return size
+    """`first` times the largest power of two that should be cast within MAX_CAST_S, up to `most`."""
+    doublings = int(max(0.0, math.log2(MAX_CAST_S / seconds) // 2.0))
+    return min(first * 2**doublings, most)
 
 
 def time_scene(
@@ -137,16 +133,15 @@ def time_scene(
 ) -> SceneResult:
     """Time all casters on a scene, in turns, and measure their errors, unless other AOVs are asked for."""
     begun = time.perf_counter()
-    with ScratchFolder() as name:
-        folder = Path(name)
+    with ScratchFolder() as folder:
         on_progress("making the scene")
-        ready = write_scene(scene, folder, settings.size)
+        ready = write_scene(scene, Path(folder), settings.size)
         runs = [CasterRun(each, settings.size, row={"why": each.missing()}) for each in casters]
         try:
             on_progress("starting the casters")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
                 if not run.row["why"]:
-                    run.process = start_process(run.caster, name, scene, settings.threads)
+                    run.process = start_process(run.caster, folder, scene, settings.threads)
             with ThreadPoolExecutor(settings.threads) as pool:
                 list(pool.map(lambda run: run.go(CasterRun.compile), runs))
             for run in runs:
@@ -159,14 +154,14 @@ def time_scene(
                     run.go(CasterRun.time_cast)
             if scene.aovs == AOVS:
                 on_progress("exact answers")
-                truth = ExactAnswers(ready, settings.seed)
+                rows = sampled_rows(len(ready.o))
+                exact = ExactHits(ready, ready.o[rows], ready.d[rows])
                 for run in runs:
-                    run.go(CasterRun.measure_errors, truth, folder)
+                    run.go(CasterRun.measure_errors, exact, rows)
         finally:
             for run in runs:
                 if run.process is not None:
                     run.process.close()
-    rows = tuple(run.result() for run in runs)
-    aovs = scene.aovs if scene.workload == FILM else ()
+    found = tuple(run.result() for run in runs)
     elapsed = time.perf_counter() - begun
-    return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, rows, elapsed, aovs)
+    return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, found, elapsed, scene.aovs)

@@ -1,7 +1,8 @@
 """Mitsuba: its AOV integrator, and `ray_intersect` of arrays of rays."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +12,24 @@ from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
-# Our AOVs: as one of its interactions has them, and by the names of its AOV integrator.
-OF_INTERACTION: dict[str, Callable[[Any], Any]] = {
-    "depth": lambda si: si.t,
-    "normal": lambda si: si.n,
-    "shading_normal": lambda si: si.sh_frame.n,
-    "position": lambda si: si.p,
-    "uv": lambda si: si.uv,
-    "prim_id": lambda si: si.prim_index,
+# Our AOVs by the names of its interactions, and of its AOV integrator.
+OF_INTERACTION = {
+    "depth": "t",
+    "normal": "n",
+    "shading_normal": "sh_frame.n",
+    "position": "p",
+    "uv": "uv",
+    "prim_id": "prim_index",
 }
 INTEGRATOR_AOVS = {
-    **dict(depth="depth", normal="geo_normal", shading_normal="sh_normal", position="position", uv="uv"),
-    **dict(albedo="albedo", prim_id="prim_index", shape_id="shape_index"),
+    "depth": "depth",
+    "normal": "geo_normal",
+    "shading_normal": "sh_normal",
+    "position": "position",
+    "uv": "uv",
+    "albedo": "albedo",
+    "prim_id": "prim_index",
+    "shape_id": "shape_index",
 }
 LIT = "diffuse"
 
@@ -102,6 +109,6 @@ class RayIntersect(OfMitsuba):
     def trace(self, rays: Any) -> Any:
         """Cast rays, and evaluate the requested AOVs only."""
         si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=True)
-        dr.eval(*(OF_INTERACTION[name](si) for name in self.work.aovs))
+        dr.eval(*(attrgetter(OF_INTERACTION[name])(si) for name in self.work.aovs))
         dr.sync_thread()  # evaluation is asynchronous
         return si.t

@@ -11,7 +11,7 @@ from caster.system.terminal import folded
 from mitsuba_ref.bench.drivers import AOVS, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
-JSON_FORMAT = 2  # goes up when a key changes its meaning or goes away
+JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
 REFERENCE_ROW, CANDIDATE_ROW = "ours", "candidate"  # ratios are to the first
 
 
@@ -32,7 +32,6 @@ class Row:
 
     key: str
     title: str
-    side: str
     rays: int = 0  # of one cast
     size: int = 0  # pixels a side, or the square root of the number of rays
     build: float | None = None  # seconds
@@ -61,7 +60,7 @@ class SceneResult:
     primitives: int
     rows: tuple[Row, ...]
     seconds: float = 0.0  # that all of it took
-    aovs: tuple[str, ...] = ()  # of an image
+    aovs: tuple[str, ...] = AOVS
 
     @model_serializer(mode="wrap")
     def _with_ratios(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -87,7 +86,7 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class Run:
-    """A whole run. settings: size, alternations, threads, seed; machine: versions, CPU; requested: scenes to time."""
+    """A whole run. settings: size, alternations, threads; machine: versions, CPU; requested: scenes to time."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, str]
@@ -145,7 +144,7 @@ def overview_text(run: Run) -> str:
 
 def as_text(scene: SceneResult) -> str:
     """The table under a line with the scene."""
-    aovs = f"; {', '.join(scene.aovs)}" if scene.aovs not in ((), AOVS) else ""
+    aovs = f"; {', '.join(scene.aovs)}" if scene.aovs != AOVS else ""
     head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives{aovs})"
     about = "times as fast as this row: ours; errors of t; wrong hits and misses, +: hits beyond their bound"
     return folded("\n".join([head, *aligned(rows(scene), left=1), about]))

@@ -39,24 +39,20 @@ def rays_of(scene: BenchScene, made: Scene) -> Rays:
     return shared.o[real], shared.d[real]
 
 
-class ExactAnswers:
-    """Sampled rays with their exact answers."""
+def sampled_rows(count: int) -> Array:
+    """Rows of the rays whose exact answers are computed, ascending; the same for the same count."""
+    return np.sort(np.random.default_rng(7).choice(count, min(EXACT_RAYS, count), replace=False))
 
-    def __init__(self, ready: PreparedScene, seed: int, sample: int = EXACT_RAYS) -> None:
-        rng, count = np.random.default_rng([seed, 7]), len(ready.o)
-        some = np.sort(rng.choice(count, min(sample, count), replace=False))
-        self.o, self.d = ready.o[some], ready.d[some]
-        self.exact = ExactHits(ready, self.o, self.d)
 
-    def score(self, t: Array, precision: str, *, reference: bool = False) -> Score:
-        """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
-        answer, exact = Answer(t, None, precision, {}), self.exact
-        ratio, hits = exact.ratios(answer, ours=not reference), answer.hit & exact.hit
-        spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
-        return Score(
-            rays=len(t),
-            ulps=largest(exact.errors(t) / spacing),
-            bounds=largest(ratio[hits]),
-            masks=int(np.sum(answer.hit != exact.hit)),
-            beyond=int(np.sum(hits & ~(ratio <= 1.0))),
-        )
+def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False) -> Score:
+    """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
+    answer = Answer(t, None, precision, {})
+    ratio, hits = exact.ratios(answer, ours=not reference), answer.hit & exact.hit
+    spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
+    return Score(
+        rays=len(t),
+        ulps=largest(exact.errors(t) / spacing),
+        bounds=largest(ratio[hits]),
+        masks=int(np.sum(answer.hit != exact.hit)),
+        beyond=int(np.sum(hits & ~(ratio <= 1.0))),
+    )

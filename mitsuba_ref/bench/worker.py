@@ -14,8 +14,6 @@ import time
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
 from caster.system.terminal import compilation_reported
 from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
 from mitsuba_ref.reference.subprocess_runner import serve
@@ -24,15 +22,16 @@ from mitsuba_ref.reference.subprocess_runner import serve
 class Worker:
     """Replies to the requests build, cast and answer."""
 
+    driver: Driver | None = None
+
     def __init__(self, work: Work) -> None:
         self.work = work
-        self.driver: Driver | None = None
 
     def reply(self, line: bytes) -> bytes:
         request = json.loads(line)
         try:
             return json.dumps(getattr(self, request.pop("do"))(**request)).encode()
-        except (CannotRun, ImportError) as reason:
+        except CannotRun as reason:
             return json.dumps({"why": " ".join(str(reason).split())}).encode()
 
     def build(self, size: int) -> dict[str, Any]:
@@ -57,11 +56,11 @@ class Worker:
             seconds.append(time.perf_counter() - start)
         return {"seconds": statistics.median(seconds), "rays": rays}
 
-    def answer(self, rays: str, out: str) -> dict[str, Any]:
+    def answer(self, rows: list[int]) -> dict[str, Any]:
+        """t of some of the scene's rays."""
         assert self.driver is not None
-        with np.load(rays) as given:
-            np.save(out, self.driver.answer(given["o"], given["d"]))
-        return {"precision": self.driver.precision}
+        t = self.driver.answer(*self.work.rays(rows))
+        return {"t": t.tolist(), "precision": self.driver.precision}
 
 
 def main(work: Work, notices: int) -> None:

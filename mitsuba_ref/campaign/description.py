@@ -2,13 +2,13 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from caster.cli.shared_arguments import scene_files
 from caster.description.errors import FileMissing, SceneError, field_error, suggestion
-from caster.description.fields import Count, Description, Index, Positive
+from caster.description.fields import Count, Description, Index, Positive, RowOf
 from caster.description.input_files import read_text
 from caster.description.parsing import model_of_text
 from caster.scene.model import Pixels
@@ -19,8 +19,18 @@ from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.subjects.subject import DEFAULT_SECONDS
 
-Size = tuple[Pixels, Pixels]  # width and height of a film, pixels
-Names = tuple[str, ...]
+Item = TypeVar("Item")
+
+
+def _not_empty(items: tuple[Item, ...]) -> tuple[Item, ...]:
+    if not items:
+        raise field_error("must be a list that is not empty")
+    return items
+
+
+Some = Annotated[tuple[Item, ...], AfterValidator(_not_empty)]
+Names = Some[str]
+Size = Annotated[Any, RowOf(Pixels, 2, "2 numbers [width, height]")]  # of a film, pixels
 Many = Annotated[Count, Field(le=10_000_000)]  # lists of so many numbers fit into memory
 Depth = Annotated[Index, Field(le=1000)]
 
@@ -79,7 +89,7 @@ class SceneJob(Job):
 
     type: Literal["scenes"] = "scenes"
     scenes: Names  # files, folders, builtin:NAME, and builtin:SET or builtin:all
-    sizes: tuple[Size, ...] = ()  # of films; none: the scenes' own
+    sizes: Some[Size] | None = None  # of films; none: the scenes' own
     bounces: Depth = 0
 
     @field_validator("scenes")
@@ -89,7 +99,11 @@ class SceneJob(Job):
         found: list[str] = []
         for i, word in enumerate(words):
             try:
-                found += scene_files(_places(word, Path(info.context or "")))
+                places = _places(word, Path(info.context or ""))
+                files = scene_files(places)
+                if not files:
+                    raise SceneError(f"{places[0]}: expected scene files in this folder, found none")
+                found += files
             except SceneError as error:
                 missing = isinstance(error, FileMissing)
                 raise field_error(f"names no scene: {error}", "scenes", i, missing_file=missing) from error
@@ -112,7 +126,7 @@ class FilmJob(Job):
     type: Literal["films"] = "films"
     families: Names = (FILMS.name,)
     scenes: Many  # of each family and seed
-    sizes: tuple[Size, ...] = ((224, 224),)
+    sizes: Some[Size] = ((224, 224),)
     bounces: Depth = 0
 
 
@@ -123,7 +137,7 @@ class FuzzJob(Job):
     type: Literal["fuzz"] = "fuzz"
     families: Names = tuple(BY_NAME)
     examples: Many  # of each family and seed
-    rays: tuple[Count, ...] = (RAYS_PER_EXAMPLE,)  # of an example
+    rays: Some[Count] = (RAYS_PER_EXAMPLE,)  # of an example
     judge_every: Index = 16
 
 
@@ -133,8 +147,8 @@ class StressJob(Job):
     KNOWN = tuple(family.name for family in SWEPT)
     type: Literal["stress"] = "stress"
     families: Names = KNOWN
-    values: tuple[Positive, ...] = ()  # of the swept quantity; none: those of the family
-    rays: tuple[Count | None, ...] = (None,)  # of a setting; none: as `stress`
+    values: Some[Positive] | None = None  # of the swept quantity; none: those of the family
+    rays: Some[Count | None] = (None,)  # of a setting; none: as `stress`
 
 
 AnyJob = Annotated[SceneJob | FilmJob | FuzzJob | StressJob, Field(discriminator="type")]
@@ -145,10 +159,10 @@ class Campaign(Description):
 
     ELEMENTS: ClassVar[dict[str, int]] = {"job": 2, "subject": 2, "budget": 1}
 
-    seeds: tuple[Index, ...] = (0,)
+    seeds: Some[Index] = (0,)
     budget: Budget = Budget()
-    subjects: tuple[Contender, ...] = Field(default=(Contender(),), alias="subject")
-    jobs: tuple[AnyJob, ...] = Field(alias="job")
+    subjects: Some[Contender] = Field(default=(Contender(),), alias="subject")
+    jobs: Some[AnyJob] = Field(alias="job")
 
     @model_validator(mode="after")
     def _has_subjects_of_different_names(self) -> Self:

@@ -50,17 +50,8 @@ class History:
         """create: make the file if there is none. Raises OutputError for a file that is no history, or damaged."""
         self.path = Path(path)
         self._lock = threading.Lock()
-        new = not self.path.exists()
-        if (new and not create) or not (new or self.path.is_file()):
+        if not (self.path.is_file() or (create and not self.path.exists())):
             raise OutputError(f"{path}: expected the history of a campaign, found no such file; a run writes it")
-        try:
-            self._open(create)
-        except OutputError:
-            if new:  # a full disk
-                self.path.unlink(missing_ok=True)
-            raise
-
-    def _open(self, create: bool) -> None:
         with self._errors():
             self.database = sqlite3.connect(
                 self.path, timeout=WAIT_SECONDS, check_same_thread=False, isolation_level=None
@@ -68,8 +59,8 @@ class History:
             self.database.row_factory = sqlite3.Row
             if create and not self.database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 self.database.executescript(f"BEGIN IMMEDIATE; {SCHEMA} COMMIT;")
-            names = ("application_id", "user_version")
-            if [self.database.execute(f"PRAGMA {name}").fetchone()[0] for name in names] != [APPLICATION, VERSION]:
+            pragmas = "SELECT application_id, user_version FROM pragma_application_id, pragma_user_version"
+            if tuple(self.database.execute(pragmas).fetchone()) != (APPLICATION, VERSION):
                 what = f"expected the history of a campaign, of version {VERSION}; this is another database"
                 raise OutputError(f"{self.path}: {what}")
             if (check := self.database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
@@ -96,15 +87,9 @@ class History:
     @contextlib.contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
         """One transaction: all of it is on the disk at the end, or nothing."""
-        with self._lock, self._errors():
+        with self._lock, self._errors(), self.database:
             self.database.execute("BEGIN IMMEDIATE")
-            try:
-                yield self.database
-                self.database.execute("COMMIT")
-            except BaseException:
-                with contextlib.suppress(sqlite3.Error):
-                    self.database.execute("ROLLBACK")
-                raise
+            yield self.database
 
     def rows(self, query: str, *values: Any) -> list[dict[str, Any]]:
         """The rows of a query, by column."""
@@ -115,12 +100,20 @@ class History:
         """The finished units of a run."""
         return self.rows("SELECT units.* FROM run_units JOIN units USING (key) WHERE run = ? ORDER BY name", run)
 
-    def units_before(self, run: int) -> dict[str, dict[str, Any]]:
-        """By name, each unit as the last run before this one that finished it has it."""
-        query = (
-            "SELECT units.*, max(run) FROM run_units JOIN units USING (key) WHERE run < ? GROUP BY name ORDER BY name"
+    def failures(self, side: str, run: int, *, before: bool = False) -> dict[tuple[str, str], dict[str, Any]]:
+        """Failures of one side by unit and cause: the first of each cause, with the number of all.
+
+        before: those of each unit in the last run before this one that finished it.
+        """
+        runs = "WHERE run < ? GROUP BY name" if before else "WHERE run = ? GROUP BY name"
+        rows = self.rows(
+            "SELECT key, name, grouped, cause, what, replay, scene, sum(times) AS times, min(failures.rowid) AS row "
+            "FROM run_units JOIN units USING (key) JOIN failures USING (key) WHERE side = ? AND (name, run) IN "
+            f"(SELECT name, max(run) FROM run_units JOIN units USING (key) {runs}) GROUP BY key, cause ORDER BY row",
+            side,
+            run,
         )
-        return {row["name"]: row for row in self.rows(query, run)}
+        return {(row["name"], row["cause"]): row for row in rows}
 
     # ---- a run ----
 
@@ -137,37 +130,37 @@ class History:
                 run = int(last["id"])
                 database.execute("UPDATE runs SET state = ? WHERE id = ?", (RUNNING, run))
             else:
-                values = (identity, RUNNING, now(), *(about[name] for name in ABOUT), len(keys))
-                names = ", ".join(ABOUT)
-                marks = ", ".join("?" * len(values))
                 inserted = database.execute(
-                    f"INSERT INTO runs (identity, state, started, {names}, units) VALUES ({marks})", values
+                    "INSERT INTO runs (identity, state, started, code, git, machine, campaign, units) "
+                    "VALUES (:identity, :state, :started, :code, :git, :machine, :campaign, :units)",
+                    {**about, "identity": identity, "state": RUNNING, "started": now(), "units": len(keys)},
                 )
                 run = int(inserted.lastrowid or 0)
-            known = {key for (key,) in database.execute("SELECT key FROM units")}
-            found = known.intersection(keys)
+            found = {key for (key,) in database.execute("SELECT key FROM units")}.intersection(keys)
             database.executemany("INSERT OR IGNORE INTO run_units VALUES (?, ?)", ((run, key) for key in found))
         return run, found
 
     def record(self, run: int, unit: Unit, result: Result) -> None:
         """Add a finished unit."""
-        failing = sum(failure.side == SUBJECT for failure in result.failures)
-        numbers = (result.rays, result.hits, result.agree, json.dumps(dict(result.counts), sort_keys=True), failing)
-        parameters = json.dumps(unit.parameters)
         row = (
             unit.key,
             unit.name,
             unit.kind,
             unit.subject.name,
             unit.group,
-            parameters,
-            *numbers,
+            json.dumps(unit.parameters),
+            result.rays,
+            result.hits,
+            result.agree,
+            json.dumps(dict(result.counts), sort_keys=True),
+            sum(failure.side == SUBJECT for failure in result.failures),
             result.seconds,
             result.processor,
+            now(),
+            run,
         )
         with self._writing() as database:
-            marks = ", ".join("?" * (len(row) + 2))
-            added = database.execute(f"INSERT OR IGNORE INTO units VALUES ({marks})", (*row, now(), run))
+            added = database.execute(f"INSERT OR IGNORE INTO units VALUES ({', '.join('?' * len(row))})", row)
             if added.rowcount:  # else another run at the same time was earlier
                 database.executemany(
                     "INSERT INTO failures VALUES (?, ?, ?, ?, ?, ?, ?)", ((unit.key, *each) for each in result.failures)
@@ -184,9 +177,6 @@ class History:
             ):
                 database.execute("DELETE FROM run_units WHERE run = ?", (run,))
                 database.execute("DELETE FROM runs WHERE id = ?", (run,))
-
-
-ABOUT = ("code", "git", "machine", "campaign")
 
 
 def now() -> str:

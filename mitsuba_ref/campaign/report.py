@@ -3,8 +3,9 @@
 import contextlib
 import html
 import json
+import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
@@ -100,15 +101,12 @@ def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
     if not runs:
         return CampaignReport(str(history.path), ()), scenes
     last = runs[-1].run
-    now = {row["name"]: row for row in history.units(last)}
-    before = (row for name, row in history.units_before(last).items() if name in now)
-    failures, earlier = _failures(history, now.values()), _failures(history, before)
-    wrong = {place: each for place, each in failures.items() if each["side"] == SUBJECT}
-    was_wrong = {place: each for place, each in earlier.items() if each["side"] == SUBJECT}
+    now = {row["name"] for row in history.units(last)}
+    wrong, before = history.failures(SUBJECT, last), history.failures(SUBJECT, last, before=True)
+    was_wrong = {place: each for place, each in before.items() if each["name"] in now}
     cases: dict[str, list[dict[str, Any]]] = {}
-    for each in failures.values():
-        if each["side"] == REFERENCE:
-            cases.setdefault(each["cause"], []).append(each)
+    for each in history.failures(REFERENCE, last).values():
+        cases.setdefault(each["cause"], []).append(each)
     folder = history.path.with_suffix(FOLDER_SUFFIX)
 
     def reported(each: dict[str, Any]) -> ReportedFailure:
@@ -139,25 +137,13 @@ def keep_scenes(history: History, scenes: Mapping[Path, str]) -> None:
     """Write the scenes of a report that are not there yet, and remove those of earlier ones. Raises OutputError."""
     folder = history.path.with_suffix(FOLDER_SUFFIX)
     for file, text in scenes.items():
-        with contextlib.suppress(OSError):
-            if file.read_text(encoding="utf-8") == text:
-                continue
-        check_folder(folder)
-        write_text(file, text)
+        if not os.path.exists(file):
+            check_folder(folder)
+            write_text(file, text)
     for file in folder.glob("*.toml"):
         if file not in scenes and re.fullmatch(rf"[0-9a-f]{{{NAME_DIGITS}}}", file.stem):
             with contextlib.suppress(OSError):
                 file.unlink()
-
-
-def _failures(history: History, units: Iterable[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:
-    """Failures by unit, side and cause: the first of each cause, with the number of all."""
-    keys = {row["key"] for row in units}
-    rows = history.rows(
-        "SELECT key, name, grouped, side, cause, what, replay, scene, sum(times) AS times, min(failures.rowid) AS row "
-        "FROM failures JOIN units USING (key) GROUP BY key, side, cause ORDER BY row"
-    )
-    return {(row["name"], row["side"], row["cause"]): row for row in rows if row["key"] in keys}
 
 
 def _trends(history: History) -> dict[str, tuple[TrendPoint, ...]]:
@@ -177,12 +163,26 @@ def _trends(history: History) -> dict[str, tuple[TrendPoint, ...]]:
 
 def as_text(report: CampaignReport) -> str:
     """What is new, then the trends, then the reference's wrong answers."""
+    return "\n\n".join(_parts(report))
+
+
+def _parts(report: CampaignReport) -> list[str]:
+    """The last run and what changed; the trends; wrong answers of the reference, if any."""
     if not report.runs:
-        return f"{report.history}: no run yet"
-    *changes, wrong = (f"\n{title}\n{text}" if text else "" for title, text in _sections(report))
-    rows = (_trend_row(group, each) for group, points in report.trends.items() for each in points)
-    table = aligned([TREND_COLUMNS, *rows], left=1)
-    return "\n".join([summary(report), *filter(None, changes), "", *table, wrong])
+        return [f"{report.history}: no run yet"]
+    changes = {"new failures": report.new, "failures gone": report.gone, "failures as before": report.standing}
+    parts = [summary(report), *(_listed(title, each, merged(each)) for title, each in changes.items() if each)]
+    rows = (
+        (group, *map(str, (at.run, at.units, at.failing, at.rays, at.agree, round(at.rays_per_second))))
+        for group, points in report.trends.items()
+        for at in points
+    )
+    trends = "\n".join(aligned([TREND_COLUMNS, *rows], left=1))
+    wrong = [_listed("wrong answers of the reference", report.defects, report.defects)] if report.defects else []
+    return ["\n\n".join(parts), trends, *wrong]
+
+
+TREND_COLUMNS = ("subject, kind and family", "run", "units", "fail", "rays", "agree", "rays/s")
 
 
 def summary(report: CampaignReport) -> str:
@@ -193,18 +193,10 @@ def summary(report: CampaignReport) -> str:
     return f"run {last.run}, {last.state}: {last.units} of {plural(last.requested, 'unit')}, {numbers}; {failures}"
 
 
-def _sections(report: CampaignReport) -> Iterator[tuple[str, str]]:
-    """Title and text of each list."""
-    lists = {"new failures": report.new, "failures gone": report.gone, "failures as before": report.standing}
-    for title, failures in lists.items():
-        yield f"{title}: {len(failures)}", _first(map(_failure_text, merged(failures)))
-    yield f"wrong answers of the reference: {len(report.defects)}", _first(map(_failure_text, report.defects))
-
-
-def _first(items: Iterable[str]) -> str:
-    listed = list(items)
-    more = [f"  and {len(listed) - LISTED} more, which --json has"] if len(listed) > LISTED else []
-    return "\n".join([*listed[:LISTED], *more])
+def _listed(title: str, failures: Sequence[ReportedFailure], shown: Sequence[ReportedFailure]) -> str:
+    """The number of failures, and those that are shown in their place."""
+    more = [f"  and {len(shown) - LISTED} more, which --json has"] if len(shown) > LISTED else []
+    return "\n".join([f"{title}: {len(failures)}", *map(_failure_text, shown[:LISTED]), *more])
 
 
 def merged(failures: Iterable[ReportedFailure]) -> list[ReportedFailure]:
@@ -218,46 +210,32 @@ def merged(failures: Iterable[ReportedFailure]) -> list[ReportedFailure]:
 
 def _failure_text(each: ReportedFailure) -> str:
     many = f" ({each.times} in {plural(each.units, 'unit')})" if each.times > 1 else ""
-    first, *_ = each.what.splitlines() or [""]
-    more = [first, f"replay: {each.replay}" if each.replay else ""]
-    return "\n      ".join([f"  {each.cause}{many}: {each.unit}", *filter(None, more)])
-
-
-TREND_COLUMNS = ("subject, kind and family", "run", "units", "fail", "rays", "agree", "rays/s")
-
-
-def _trend_row(group: str, each: TrendPoint) -> tuple[str, ...]:
-    numbers = (each.run, each.units, each.failing, each.rays, each.agree, round(each.rays_per_second))
-    return (group, *map(str, numbers))
+    replay = f"replay: {each.replay}" if each.replay else ""
+    lines = (f"  {each.cause}{many}: {each.unit}", each.what.partition("\n")[0], replay)
+    return "\n      ".join(filter(None, lines))
 
 
 # ---- page ----
 
 STYLE = """body { font: 14px/1.45 system-ui, sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; }
-h1 { font-size: 18px; } h2 { font-size: 15px; margin-top: 2em; } pre { white-space: pre-wrap; }
-table { border-collapse: collapse; } td, th { padding: 3px 10px; text-align: right; border-bottom: 1px solid #8884; }
-td:first-child, th:first-child { text-align: left; } svg { display: block; }
+h1 { font-size: 18px; } pre { white-space: pre-wrap; } table { border-collapse: collapse; } svg { display: block; }
+td, th { padding: 3px 10px; text-align: left; border-bottom: 1px solid #8884; }
 polyline { fill: none; stroke: currentColor; stroke-width: 1.5; } circle { fill: currentColor; }"""
 WIDTH, HEIGHT, MARGIN = 180, 36, 4  # of a plot, pixels
 
 
 def as_html(report: CampaignReport) -> str:
-    """A page that needs no other file."""
+    """The text, and the trends as plots: a page that needs no other file."""
     title = html.escape(f"Campaign {report.history}")
-    parts = [f"<title>{title}</title><style>{STYLE}</style><h1>{title}</h1>"]
-    if report.runs:
-        *changes, wrong = (f"<h2>{name}</h2><pre>{html.escape(text)}</pre>" for name, text in _sections(report))
-        parts += [f"<p>{html.escape(summary(report))}</p>", *changes, _trends_html(report), wrong]
-    return f"<!doctype html><html lang=en><meta charset=utf-8>{''.join(parts)}</html>\n"
-
-
-def _trends_html(report: CampaignReport) -> str:
-    """A row for each group: the numbers of the last run, and how two of them went."""
-    rows = ["".join(f"<th>{name}" for name in (*TREND_COLUMNS, "fail", "rays/s"))]
-    for group, points in report.trends.items():
-        plots = _plot([each.failing for each in points]), _plot([each.rays_per_second for each in points])
-        rows.append("".join(f"<td>{cell}" for cell in (*map(html.escape, _trend_row(group, points[-1])), *plots)))
-    return f"<h2>trends over {plural(len(report.runs), 'run')}</h2><table><tr>{'<tr>'.join(rows)}</table>"
+    changes, *rest = (f"<pre>{html.escape(part)}</pre>" for part in _parts(report))
+    plots = "".join(
+        f"<tr><td>{html.escape(group)}<td>{_plot([at.failing for at in points])}"
+        f"<td>{_plot([at.rays_per_second for at in points])}"
+        for group, points in report.trends.items()
+    )
+    table = f"<table><tr><th>{TREND_COLUMNS[0]}<th>fail<th>rays/s{plots}</table>" if plots else ""
+    head = f"<html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style><h1>{title}</h1>"
+    return f"<!doctype html>{head}{changes}{table}{''.join(rest)}</html>\n"
 
 
 def _plot(values: Sequence[float]) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import shlex
 import sys
 import time
@@ -33,7 +34,7 @@ class CampaignRun:
 
     def __init__(self, history: History, file: str, campaign: Campaign, text: str, units: list[Unit]) -> None:
         """file: of the campaign, and its text. Raises OutputError."""
-        self.history, self.file, self.campaign, self.units = history, file, campaign, units
+        self.history, self.file, self.campaign = history, file, campaign
         commit_here = commit(str(Path(file).parent))
         about = {"code": code_hash(), "git": commit_here, "machine": json.dumps(machine()), "campaign": text}
         self.number, self.found = history.begin(units, about)
@@ -44,6 +45,7 @@ class CampaignRun:
         """The result of each waiting unit, in their order. Raises SceneError for a subject that cannot be used."""
         state, start, of_key = INTERRUPTED, time.monotonic(), {unit.key: unit for unit in self.waiting}
         rays = sum(row["rays"] for row in self.history.units(self.number))  # of an earlier call
+        limits = self.campaign.budget
 
         def record(result: Result) -> Result:
             unit = of_key[result.key]
@@ -59,7 +61,7 @@ class CampaignRun:
                 closing(pool.map(run_unit, ((unit,) for unit in self.waiting), record)) as outcomes,
             ):
                 for unit in self.waiting:
-                    if self._used_up(rays, time.monotonic() - start):
+                    if time.monotonic() - start >= (limits.seconds or math.inf) or rays >= (limits.rays or math.inf):
                         state = BUDGET
                         return
                     outcome = next(outcomes)
@@ -74,10 +76,6 @@ class CampaignRun:
         finally:
             self.history.end(self.number, state)
 
-    def _used_up(self, rays: int, seconds: float) -> bool:
-        limits = self.campaign.budget
-        return seconds >= (limits.seconds or float("inf")) or rays >= (limits.rays or float("inf"))
-
 
 # ---- the command ----
 
@@ -85,7 +83,7 @@ HISTORY_SUFFIX = ".history.sqlite"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing to run or judged, 130 interrupted."""
+    """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing judged, 130 interrupted."""
     file = Path(args.file)
     if file.suffix.lower() not in (".toml", ".json"):
         if args.unit or args.history:
@@ -94,8 +92,6 @@ def run(args: argparse.Namespace) -> int:
             return show(history, args, ran=False)
     campaign, text = read_campaign(args.file)
     units = units_of(campaign)
-    if not units:
-        return report_error(f"{file}: nothing selected: an empty list leaves no unit", NOTHING_SELECTED)
     variants.require_variants()
     if args.unit:
         for name in (each for each in ("json", "html", "history", "strict") if getattr(args, each)):

@@ -8,12 +8,11 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 from importlib.machinery import PathFinder
 from itertools import product, zip_longest
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
@@ -24,9 +23,8 @@ from caster.description.input_files import read_input
 from caster.rendering.threads import set_default_threads
 from caster.system.cluster import CallEnded
 from mitsuba_ref.campaign.description import AnyJob, Campaign, Contender, FilmJob, FuzzJob, SceneJob
-from mitsuba_ref.fuzz.checks import answered_types
 from mitsuba_ref.fuzz.findings import Tally
-from mitsuba_ref.fuzz.fuzz_run import EXAMPLES_A_CALL, Drawing, Example
+from mitsuba_ref.fuzz.fuzz_run import EXAMPLES_A_CALL, Drawing, Example, try_examples
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_families import FILMS
@@ -44,10 +42,8 @@ from mitsuba_ref.subjects.subject import Subject
 
 MAX_UNITS = 200_000
 SUBJECT, REFERENCE = "subject", "reference"  # whose fault it is
-SCENE_PLACE = "{scene}"  # in a replay, for the file of the failure's own scene
-
-
-UNNAMED = ("path", "inputs")  # parameters that are no part of a unit's name
+SCENE_PLACE = "@scene"  # in a replay, for the file of the failure's own scene; no shell quotes it
+UNNAMED = ("path", "content", "inputs")  # parameters that are no part of a unit's name
 
 
 class Unit(NamedTuple):
@@ -90,7 +86,7 @@ class Result(NamedTuple):
     rays: int = 0
     hits: int = 0
     agree: int = 0  # rays whose answers were compared and are right
-    counts: Mapping[str, float] = MappingProxyType({})  # classes of pixels, or tallies of fuzz and stress
+    counts: Mapping[str, float] = {}  # classes of pixels, or tallies of fuzz and stress
     failures: tuple[Failure, ...] = ()
     seconds: float = 0.0
     processor: str = ""  # of the machine that ran it
@@ -114,13 +110,10 @@ def units_of(campaign: Campaign) -> list[Unit]:
     found: dict[str, Unit] = {}
     for turn in zip_longest(*(_parameters(job, campaign.seeds) for job in campaign.jobs)):
         for job, each in zip(campaign.jobs, turn, strict=True):
-            if each is None:
-                continue
-            parameters, inputs = each
-            for subject in campaign.subjects:
-                about = json.dumps([job.type, subject.model_dump(mode="json"), parameters], sort_keys=True)
+            for subject in campaign.subjects if each else ():
+                about = json.dumps([job.type, subject.model_dump(mode="json"), each], sort_keys=True)
                 files = own[subject.name]
-                unit = Unit(job.type, subject, parameters, key_of([around, about, files, inputs]), files)
+                unit = Unit(job.type, subject, each, key_of([around, about, files]), files)
                 if found.setdefault(unit.name, unit).key != unit.key:
                     raise SceneError(f"two units are called '{unit.name}': put scenes of one name into one job")
         if len(found) > MAX_UNITS:
@@ -128,34 +121,42 @@ def units_of(campaign: Campaign) -> list[Unit]:
     return list(found.values())
 
 
-def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[tuple[dict[str, Any], str]]:
-    """Parameters of each unit of a job, and a hash of the files it reads."""
+def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[dict[str, Any]]:
+    """Parameters of each unit of a job, of a scene file with hashes of its content."""
     if isinstance(job, SceneJob):
         for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
             key = _scene_key(path)
             for size in job.sizes or (None,):
-                about: dict[str, Any] = {
-                    "scene": name,
-                    "path": path,
-                    "inputs": with_inputs_hash(SceneEntry("", path, size)).inputs,
-                }
+                inputs = with_inputs_hash(SceneEntry("", path, size)).inputs
                 for bounce in range(job.bounces + 1):
-                    yield about | {"size": size, "bounce": bounce}, key
+                    yield {
+                        "scene": name,
+                        "path": path,
+                        "content": key,
+                        "inputs": inputs,
+                        "size": size,
+                        "bounce": bounce,
+                    }
     elif isinstance(job, FilmJob):
         names = ("seed", "scene", "family", "size", "bounce")
         for values in product(seeds, range(job.scenes), job.families, job.sizes, range(job.bounces + 1)):
-            yield dict(zip(names, values, strict=True)), ""
+            yield dict(zip(names, values, strict=True))
     elif isinstance(job, FuzzJob):
         for seed, first, family, rays in product(
             seeds, range(0, job.examples, EXAMPLES_A_CALL), job.families, job.rays
         ):
-            examples = min(EXAMPLES_A_CALL, job.examples - first)
-            about = {"seed": seed, "family": family, "first": first, "examples": examples}
-            yield about | {"rays": rays, "judge_every": job.judge_every}, ""
+            yield {
+                "seed": seed,
+                "family": family,
+                "first": first,
+                "examples": min(EXAMPLES_A_CALL, job.examples - first),
+                "rays": rays,
+                "judge_every": job.judge_every,
+            }
     else:
-        for seed, family, count in product(seeds, job.families, job.rays or (None,)):
+        for seed, family, count in product(seeds, job.families, job.rays):
             for value in job.values or BY_NAME[family].values:
-                yield {"seed": seed, "family": family, "value": value, "rays": count}, ""
+                yield {"seed": seed, "family": family, "value": value, "rays": count}
 
 
 def _scene_key(path: str) -> str:
@@ -201,8 +202,9 @@ def run_unit(unit: Unit) -> Result:
     except SceneError as error:
         raise SubjectError(f"subject '{unit.subject.name}': {error}") from error
     found = RUNS[unit.kind](unit, subject)
-    seconds = time.perf_counter() - start
-    return found._replace(key=unit.key, seconds=round(seconds, 3), processor=machine()[PROCESSOR])
+    counts = {name: count for name, count in found.counts.items() if count}
+    seconds = round(time.perf_counter() - start, 3)
+    return found._replace(key=unit.key, counts=counts, seconds=seconds, processor=machine()[PROCESSOR])
 
 
 @cache
@@ -227,8 +229,8 @@ def ended(unit: Unit, error: Exception) -> Result:
 def _run_film(unit: Unit, subject: Subject | None) -> Result:
     """Judge a film: of a scene file, or of a random scene."""
     at, drawn = unit.parameters, unit.kind == "films"
-    size, bounce = at["size"] and tuple(at["size"]), at["bounce"]
-    words = (*unit.subject.words(), *(("--bounces", str(bounce)) if bounce else ()))
+    size, bounce = at["size"], at["bounce"]
+    words = unit.subject.words() + (("--bounces", str(bounce)) if bounce else ())
     if drawn:
         family = FILMS if at["family"] == FILMS.name else BY_NAME[at["family"]]
         film = dict(zip(("width", "height"), size, strict=True))
@@ -242,11 +244,7 @@ def _run_film(unit: Unit, subject: Subject | None) -> Result:
         options = (*sized, *words)
         entry = SceneEntry(at["scene"], at["path"], size, options=options, bounce=bounce, inputs=at["inputs"])
     found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
-    result = _of_verdict(found, scene.to_toml() if drawn else "")
-    if drawn or found.ok or found.unsupported or result.failures:
-        return result
-    what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
-    return result._replace(failures=(Failure(SUBJECT, "evidence", what, 1, found.replay),))
+    return _of_verdict(found, scene.to_toml() if drawn else "")
 
 
 def _of_verdict(found: SceneVerdict, whole: str) -> Result:
@@ -257,32 +255,38 @@ def _of_verdict(found: SceneVerdict, whole: str) -> Result:
     agree = (
         found.evidence if found.bounce else rays - sum(found.counts.values()) + found.counts[AGREE] + found.counts[TIE]
     )
-    counts = {name: count for name, count in found.counts.items() if count}
-    return Result("", rays, found.hit_pixels, agree, counts, tuple(_failures(found, whole)))
+    return Result("", rays, found.hit_pixels, agree, found.counts, tuple(_failures(found, whole)))
 
 
 def _failures(found: SceneVerdict, whole: str) -> Iterator[Failure]:
     alone: dict[str, str] = found.seen or {}  # scenes of one ray
-    replay = found.replay.replace(shlex.quote(SCENE_PLACE), SCENE_PLACE)
     if found.problem:
-        yield Failure(SUBJECT, "no verdict", found.problem, 1, replay, whole)
+        yield Failure(SUBJECT, "no verdict", found.problem, 1, found.replay, whole)
     for check, worst in found.worst_by.items():
         if worst.verdict != REFERENCE_WRONG:
             text = f"{worst.reason}; subject: {worst.subject}; exact: {worst.exact}"
-            again = worst.replay.replace(shlex.quote(SCENE_PLACE), SCENE_PLACE)
-            yield Failure(SUBJECT, check, text, found.failing_by[check], *_alone(alone.get(check), again, whole))
+            shown = _alone(alone.get(check), worst.replay, whole)
+            yield Failure(SUBJECT, check, text, found.failing_by[check], *shown)
     for made in found.checks:
         if not made.ok:
-            yield Failure(SUBJECT, made.name, made.what, 1, replay, whole)
+            yield Failure(SUBJECT, made.name, made.what, 1, found.replay, whole)
     for case, count in found.cases.items():
         side, name = (SUBJECT, UNLISTED) if case == UNLISTED else (REFERENCE, f"case {case}: {defect_name(int(case))}")
         one = alone.get(UNLISTED if case == UNLISTED else f"case-{case}")
-        yield Failure(side, name, "", count, *_alone(one, replay, whole))
+        yield Failure(side, name, "", count, *_alone(one, found.replay, whole))
+    if not (whole or found.problem or found.has_evidence):
+        what = f"{found.evidence} pixels were compared and are right, {found.excused} excused"
+        yield Failure(SUBJECT, "evidence", what, 1, found.replay)
 
 
 def _alone(text: str | None, replay: str, whole: str) -> tuple[str, str]:
     """A replay and its scene: that of the ray alone, if there is one."""
-    return (f"mitsuba-ref probe {SCENE_PLACE} 0 0", text) if text else (replay, whole)
+    return (_probe(), text) if text else (replay, whole)
+
+
+def _probe(*words: str) -> str:
+    """The replay of a scene of one ray. words: options that name the candidate."""
+    return shlex.join(["mitsuba-ref", "probe", SCENE_PLACE, "0", "0", *words])
 
 
 def _one_ray_scenes(found: SceneVerdict) -> dict[str, str]:
@@ -305,21 +309,20 @@ def _one_ray_scenes(found: SceneVerdict) -> dict[str, str]:
 
 def _run_fuzz(unit: Unit, subject: Subject | None) -> Result:
     at = unit.parameters
-    types = (answered_types(subject),) if subject else ()
-    drawing = Drawing(at["seed"], (at["family"],), at["judge_every"], at["rays"], subject, *types)
+    drawing = Drawing(at["seed"], (at["family"],), at["judge_every"], at["rays"], subject)
     total, failures = Tally(), list[Failure]()
-    for number in range(at["first"], at["first"] + at["examples"]):
-        tally, findings = drawing.tried(number)
-        total.add(tally)
-        replay = shlex.join(["mitsuba-ref", "fuzz", *drawing.words(number), *unit.subject.words()])
-        failures += [Failure(SUBJECT, each.kind, each.what, 1, replay) for each in findings]
+    numbers = range(at["first"], at["first"] + at["examples"])
+    for tried in try_examples(drawing, numbers):
+        total.add(tried.tally)
+        replay = shlex.join(["mitsuba-ref", "fuzz", *drawing.words(tried.number), *unit.subject.words()])
+        failures += [Failure(SUBJECT, each.kind, each.what, 1, replay) for each in tried.findings]
     rays = total.pixels if subject else total.rays
-    counts = {name: value for name, value in asdict(total).items() if name not in ("kinds", "rays", "hits") and value}
+    counts = {name: value for name, value in vars(total).items() if name not in ("kinds", "rays", "hits")}
     return Result("", rays, total.hits, rays - len(failures), counts, tuple(failures))
 
 
 def _run_stress(unit: Unit, subject: Subject | None) -> Result:
-    at, words, failures = unit.parameters, unit.subject.words(), list[Failure]()
+    at, failures = unit.parameters, list[Failure]()
     family = replace(BY_NAME[at["family"]], values=(at["value"],))
     swept = sweeps.sweep(family, at["seed"], at["rays"], subject)
     if swept.declined:
@@ -330,16 +333,20 @@ def _run_stress(unit: Unit, subject: Subject | None) -> Result:
         score = setting.witnesses[caster.key]
         if isinstance(score, sweeps.Score) and score.breaks and (score is own or caster.variant):
             side, cause = (SUBJECT, "wrong") if score is own else (REFERENCE, f"{caster.title}: {family.name}")
-            named = map(shlex.quote, words if score is own else ())
-            replay = " ".join(["mitsuba-ref probe", SCENE_PLACE, "0 0", *named])
+            replay = _probe(*unit.subject.words()) if score is own else _probe()
             failures.append(Failure(side, cause, score.example, score.wrong_masks + score.beyond, replay, score.scene))
     if not swept.ok and not any(each.side == SUBJECT for each in failures):  # no answer, or nothing to judge
         failures.append(Failure(SUBJECT, "not judged", swept.problems[0]))
     if not isinstance(own, sweeps.Score):
-        return Result("", setting.rays, setting.exact.hits, 0, {}, tuple(failures))
-    wrong = {"false hits": own.false_hits, "false misses": own.false_misses, "beyond": own.beyond}
-    counts = {name: count for name, count in (wrong | {"excused": own.excused}).items() if count}
-    return Result("", setting.rays, setting.exact.hits, setting.rays - sum(wrong.values()), counts, tuple(failures))
+        return Result("", setting.rays, setting.hits, 0, {}, tuple(failures))
+    agree = setting.rays - own.wrong_masks - own.beyond
+    counts = {
+        "false hits": own.false_hits,
+        "false misses": own.false_misses,
+        "beyond": own.beyond,
+        "excused": own.excused,
+    }
+    return Result("", setting.rays, setting.hits, agree, counts, tuple(failures))
 
 
 RUNS: dict[str, Callable[[Unit, Subject | None], Result]] = {

@@ -485,8 +485,6 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add("--alternations", positive_int, help_, default=DEFAULT_ALTERNATIONS)
     add("--threads", positive_int, "processors that each may use; default: all")
     add_engine(add)
-    help_ = "of the rays that errors are measured on; default: 0"
-    add("--seed", whole, help_, metavar="SEED", default=0)
     add_json(parser)
     add_mesh_dirs(parser)
     title = "another ray caster, which takes rays (mitsuba-ref docs candidates)"

@@ -17,7 +17,7 @@ from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
 from mitsuba_ref.bench.machine import CORES, LOAD, machine_properties
 from mitsuba_ref.bench.measuring import Settings, time_scene
-from mitsuba_ref.bench.result import CANDIDATE_ROW, Run, SceneResult, as_text, overview_text, summary
+from mitsuba_ref.bench.result import CANDIDATE_ROW, REFERENCE_ROW, Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
@@ -74,17 +74,12 @@ def run_stress(args: argparse.Namespace) -> int:
                 line.show(f"stress: {i + 1}/{len(families)} {family.name}")
                 outcome = next(outcomes)
                 if isinstance(outcome.error, CallEnded):
-                    done.append(SweepResult.of(family, (), ended=str(outcome.error)))
+                    done.append(SweepResult.of(family, ended=str(outcome.error)))
                 else:
                     done.append(outcome.value())
                 line.erase()
                 found = done[-1]
-                table = (
-                    origins.as_text(found)
-                    if isinstance(found, OriginSweep)
-                    else sweeps.as_text(found, args.skip_unsupported)
-                )
-                print(f"{table}\n", file=options.table_stream(args), flush=True)
+                print(f"{sweeps.as_text(found, args.skip_unsupported)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)
     if not run.judged:
@@ -102,7 +97,7 @@ def sweep_family(
     spawn: str | None,
 ) -> SweepResult | OriginSweep:
     """Sweep a family in this process."""
-    if family.spawns:
+    if family in SPAWNED:
         return origins.sweep_origins(family, seed, rays, Path(folder), spawn_rule(spawn) if spawn else None)
     return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
 
@@ -141,7 +136,7 @@ def run_bench(args: argparse.Namespace) -> int:
     if interpreter() != sys.executable:
         raise SceneError(f"{PYTHON_VARIABLE}: bench times the Mitsuba that is installed beside it; unset it")
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
-    settings = Settings(args.size, args.alternations, threads, args.seed)
+    settings = Settings(args.size, args.alternations, threads)
     caster = None
     if candidate:
         served = isinstance(args.candidate, ServedProgram)
@@ -165,7 +160,7 @@ def run_bench(args: argparse.Namespace) -> int:
         text = f"{overview_text(run)}\n\n{options.missing_variants()}{summary(run)}"
         print(text, file=options.table_stream(args))
     rows = [row for result in done for row in result.rows]
-    ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
+    ours_ran = all(row.ran for row in rows if row.key == REFERENCE_ROW)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 

@@ -4,11 +4,12 @@ import argparse
 import itertools
 from pathlib import Path
 
+from caster.cli.shared_arguments import scene_files
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 from mitsuba_ref.fuzz import findings
-from mitsuba_ref.fuzz.cases import kept_files, read_kept
+from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.checks import find
 from mitsuba_ref.fuzz.findings import replay_text
 from mitsuba_ref.fuzz.fuzz_run import Drawing, FuzzRun
@@ -50,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
 
 def replay(args: argparse.Namespace) -> int:
     """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
-    files = kept_files(args.replay)
+    files = [each for each in scene_files([args.replay]) if not each.endswith(".json")]  # such as that of --json
     if not files:
         raise options.NothingSelected(f"nothing selected: no scene file in {args.replay}")
-    kept = [(str(file), read_kept(file)) for file in files]
+    kept = [(file, read_kept(Path(file))) for file in files]
     subject = options.requested_candidate(args) or OURS
     replays = [(file, kind, find(case, kind, subject=subject)) for file, (kind, case) in kept]
     print(replay_text(replays))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.description.errors import FileMissing, SceneError
+from caster.description.errors import SceneError
 from caster.scene.export import format_toml
 from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder, write_text
@@ -105,13 +105,3 @@ def read_kept(path: Path) -> tuple[str, Case]:
     if t_min < np.inf and "origin" in data["camera"]:
         data["limits"] = [t_min, t_max]
     return kind, data
-
-
-def kept_files(place: str) -> list[Path]:
-    """Kept files: one, or all of a folder. Raises FileMissing."""
-    path = Path(place)
-    if path.is_dir():
-        return sorted(path.glob("*.toml"))
-    if not path.is_file():
-        raise FileMissing(f"{place}: expected a scene file that fuzz has kept, or a folder of them, found nothing")
-    return [path]

@@ -177,8 +177,6 @@ def compare_with_mitsuba(
         return [Finding("crash" if subject is OURS else "answer", verdict.problem)]
     if subject is not OURS and not (verdict.counts[WRONG] or verdict.counts[UNDECIDED]):
         return []
-    if not verdict.failing and verdict.checks_pass:
-        return []
     failing = [each for each in verdict.checks if subject is OURS and not each.ok]
     return [
         *(

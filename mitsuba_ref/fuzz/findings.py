@@ -1,6 +1,5 @@
 """Findings, tallies of what was checked, and the outcome of a run as text and as JSON."""
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -82,12 +81,7 @@ class Failure:
     example: str  # the options that make the scene it was shrunk from
     file: str
     unshrunk: str  # the file of the scene as it was drawn
-    options: tuple[str, ...] = ()  # of a candidate, for a replay
-
-    @property
-    def replay(self) -> str:
-        """The command that checks the kept scene again."""
-        return shlex.join(["mitsuba-ref", "fuzz", "--replay", self.file, *self.options])
+    replay: str  # the command that checks the kept scene again
 
 
 @pydantic.dataclasses.dataclass

@@ -7,9 +7,10 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,9 +31,8 @@ from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
 
-RAYS_PER_EXAMPLE, JUDGE_EVERY = 40, 16  # rays: before those with limits
+RAYS_PER_EXAMPLE = 40  # before those with limits
 EXAMPLES_A_CALL = 10  # 0.03 s of CPU each, 0.1 s and more where Mitsuba judges
-KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shrunk and kept; all are counted
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
 ENDED = "the process that casts and judges ended"
 MITSUBA_SHRINK_ATTEMPTS = SHRINK_ATTEMPTS // 10  # each traces the scene with Mitsuba
@@ -52,8 +52,11 @@ class Example:
 
     @cached_property
     def made(self) -> HardScene:
+        """The scene, which may have no shape left."""
         rng, family = self.random(SCENE_STREAM), self.family
-        return family.make(rng, float(rng.choice(family.values)) if family.values else 0.0).of_types(self.types)
+        made = family.make(rng, float(rng.choice(family.values)) if family.values else 0.0)
+        shapes = [each for each in made.data["shape"] if each["type"] in self.types]
+        return made._replace(data={**made.data, "shape": shapes})
 
     def random(self, stream: int) -> Rng:
         """Random numbers of the example, independent for each stream."""
@@ -67,33 +70,40 @@ class Example:
 class Drawing:
     """What all examples of a run have in common; each is tried by itself, in any process."""
 
-    seed: int = 0
-    families: tuple[str, ...] = tuple(BY_NAME)
-    # One example in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none.
-    judge_every: int = JUDGE_EVERY
-    rays: int = RAYS_PER_EXAMPLE
-    candidate: Subject | None = None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
-    types: tuple[str, ...] = shape_types()  # of the shapes that the scenes keep
+    seed: int
+    families: tuple[str, ...]
+    judge_every: int  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
+    rays: int  # of an example
+    candidate: Subject | None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
+
+    @cached_property
+    def types(self) -> tuple[str, ...]:
+        """Of the shapes that the scenes keep: those that the candidate does not decline."""
+        return answered_types(self.candidate or OURS)
 
     def example(self, number: int) -> Example:
         return Example(self.seed, number, BY_NAME[self.families[number % len(self.families)]], self.types)
 
     def words(self, number: int) -> tuple[str, ...]:
         """The options of `fuzz` that try one example."""
-        family = self.example(number).family.name
-        more = {"rays": (self.rays, RAYS_PER_EXAMPLE), "judge-every": (self.judge_every, JUDGE_EVERY)}
-        chosen = (word for name, (value, usual) in more.items() if value != usual for word in (f"--{name}", str(value)))
-        return ("--seed", str(self.seed), "--family", family, "--examples", f"{number}..{number}", *chosen)
+        options = {
+            "--seed": self.seed,
+            "--family": self.example(number).family.name,
+            "--examples": f"{number}..{number}",
+            "--rays": self.rays,
+            "--judge-every": self.judge_every,
+        }
+        return tuple(str(word) for item in options.items() for word in item)
 
-    def tried(self, number: int) -> tuple[Tally, list[Finding]]:
-        """What was checked of an example, and one finding of each kind."""
-        tried, tally = self.example(number), Tally(examples=1)
-        if self.candidate and not (tried.family.fits_float32 and tried.made.data["shape"]):
-            return Tally(), []
-        findings = first_of_each_kind(self._findings(tried, tally))
+    def tried(self, number: int) -> "Tried":
+        """An example, checked."""
+        example, tally = self.example(number), Tally(examples=1)
+        if self.candidate and not (example.family.fits_float32 and example.made.data["shape"]):
+            return Tried(number, Tally(), [])
+        findings = first_of_each_kind(self._findings(example, tally))
         tally.findings = len(findings)
         tally.kinds.update(finding.kind for finding in findings)
-        return tally, findings
+        return Tried(number, tally, findings)
 
     def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
         every, family, case = self.judge_every, tried.family, case_of(tried.made.data)
@@ -106,7 +116,15 @@ class Drawing:
         return findings + (find(case, "judged", tally) if judged else [])
 
 
-def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[tuple[Tally, list[Finding]]]:
+class Tried(NamedTuple):
+    """An example by its number, what was checked of it, and one finding of each kind."""
+
+    number: int
+    tally: Tally
+    findings: list[Finding]
+
+
+def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[Tried]:
     """Try examples in this process, one after the other."""
     return [drawing.tried(number) for number in numbers]
 
@@ -116,13 +134,13 @@ class FuzzRun:
     """Tries many examples. `outcome` is complete at any moment: an interruption loses nothing."""
 
     drawing: Drawing
-    numbers: Iterable[int] = field(default_factory=itertools.count)
-    seconds: float | None = None
-    folder: Path = Path("fuzz-failures")
-    keep: int = KEPT_PER_KIND_AND_FAMILY
-    options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
-    engine: str = LOCAL
-    workers: int | None = None  # of the engine; None: one a core
+    numbers: Iterable[int]
+    seconds: float | None
+    folder: Path
+    keep: int  # findings of one kind in one family that are shrunk and kept; all are counted
+    options: tuple[str, ...]  # of the command line that name the candidate, for replays
+    engine: str
+    workers: int | None  # of the engine; None: one a core
 
     def __post_init__(self) -> None:
         self.subject = self.drawing.candidate or OURS
@@ -134,19 +152,15 @@ class FuzzRun:
         """Yield the outcome after each example, in their order."""
         start = time.monotonic()
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
-        types = answered_types(self.subject)
-        self.drawing = replace(self.drawing, types=types)
-        self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
+        self.outcome.left_out = tuple(each for each in shape_types() if each not in self.drawing.types)
         at_once = 1 if self.here else EXAMPLES_A_CALL
-        for number, tally, findings in self._tried(self.numbers, at_once, self.deadline):
-            self._record(number, tally, findings)
-            self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
+        for tried in self._tried(self.numbers, at_once, self.deadline):
+            self._record(tried)
+            self.outcome.last_example, self.outcome.seconds = tried.number, time.monotonic() - start
             yield self.outcome
         self.outcome.interrupted = False
 
-    def _tried(
-        self, numbers: Iterable[int], at_once: int, deadline: float
-    ) -> Iterator[tuple[int, Tally, list[Finding]]]:
+    def _tried(self, numbers: Iterable[int], at_once: int, deadline: float) -> Iterator[Tried]:
         """What came of each example. Those of a call that ended its process are tried again, each by itself."""
         source = iter(numbers)
         batches, again = itertools.tee(iter(lambda: tuple(itertools.islice(source, at_once)), ()))
@@ -158,25 +172,25 @@ class FuzzRun:
         ):
             for outcome, batch in zip(outcomes, batches, strict=False):
                 if not isinstance(outcome.error, CallEnded):
-                    yield from ((number, *each) for number, each in zip(batch, outcome.value(), strict=True))
+                    yield from outcome.value()
                 elif len(batch) > 1:
                     yield from self._tried(batch, 1, float("inf"))
                 else:
                     finding = Finding("crash", f"{ENDED}: {outcome.error}")
-                    yield batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding]
+                    yield Tried(batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
                 if time.monotonic() >= deadline:
                     break
 
-    def _record(self, number: int, tally: Tally, findings: Sequence[Finding]) -> None:
-        if not tally.examples:
+    def _record(self, tried: Tried) -> None:
+        if not tried.tally.examples:
             return
-        tried = self.drawing.example(number)
-        family = tried.family.name
-        self.outcome.families.setdefault(family, Tally()).add(tally)
-        for finding in findings:
+        example = self.drawing.example(tried.number)
+        family = example.family.name
+        self.outcome.families.setdefault(family, Tally()).add(tried.tally)
+        for finding in tried.findings:
             kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
             if kept < self.keep:
-                self._keep(tried, finding)
+                self._keep(example, finding)
 
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""
@@ -193,9 +207,10 @@ class FuzzRun:
                 shrinker.run()
         finally:
             smallest = shrinker.finding
-            file = write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options)
-            files = str(file), str(unshrunk)
-            self.outcome.failures.append(Failure(finding.kind, smallest.what, family, found_by, *files, self.options))
+            file = str(write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options))
+            replay = shlex.join(["mitsuba-ref", "fuzz", "--replay", file, *self.options])
+            about = finding.kind, smallest.what, family, found_by
+            self.outcome.failures.append(Failure(*about, file, str(unshrunk), replay))
 
 
 def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:

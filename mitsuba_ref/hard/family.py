@@ -1,7 +1,7 @@
 """Families of hard scenes: a name, at most one parameter, and a function that makes a scene with rays for it."""
 
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -24,12 +24,6 @@ class HardScene(NamedTuple):
 
     def scene(self) -> Scene:
         return scene_of(self.data)
-
-    def of_types(self, types: Collection[str]) -> "HardScene":
-        """The scene without shapes of other types; it may have none left."""
-        return self._replace(
-            data={**self.data, "shape": [each for each in self.data["shape"] if each["type"] in types]}
-        )
 
 
 def plain(data: Fields) -> Fields:
@@ -62,7 +56,6 @@ class Family:
     closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
     fits_float32: bool = True  # so that Mitsuba can trace it
     always_judged: bool = False  # by Mitsuba in `fuzz`, unless none is
-    spawns: bool = False  # judged by `stress` are the origins of the rays that leave what its rays hit
 
     @property
     def error(self) -> str:

@@ -437,7 +437,6 @@ SPAWNED: tuple[Family, ...] = (
         "distance of the spheres over radius",
         (*TINY[1:4], 4e-5, *TINY[4:]),
         0.1,
-        spawns=True,
     ),
     Family(
         "spawn-scale",
@@ -446,15 +445,13 @@ SPAWNED: tuple[Family, ...] = (
         "radius, scene units",
         SIZES,
         fits_float32=False,  # Mitsuba takes a sphere of radius 5e-13 for a stretched one
-        spawns=True,
     ),
-    Family("spawn-offset", "how far from the origin rays leave", glass_far_away, OFFSET, TENFOLD, spawns=True),
+    Family("spawn-offset", "how far from the origin rays leave", glass_far_away, OFFSET, TENFOLD),
     Family(
         "spawn-grazing",
         "how nearly rays leave a sphere or two triangles along them",
         grazing_mirrors,
         ANGLE,
         UP_TO_ONE[1:],
-        spawns=True,
     ),
 )

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import computed_field
@@ -12,7 +12,6 @@ from pydantic.dataclasses import dataclass
 from caster.rendering.bounces import bounces
 from caster.rendering.hits import trace_rays, validated_rays
 from caster.system.atomic_files import check_folder
-from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.judge.checks.secondary_rays import (
     MITSUBA,
@@ -24,12 +23,13 @@ from mitsuba_ref.judge.checks.secondary_rays import (
     judge_origins,
     rays_of_bounce,
 )
+from mitsuba_ref.judge.verdict import Seconds
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, OriginJudge
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.report.reproducers import write_scene
-from mitsuba_ref.report.results import NOTHING, aligned
+from mitsuba_ref.report.results import NOTHING
 from mitsuba_ref.subjects.subject import NoAnswer
 
 OURS, CANDIDATE = "ours", "candidate"
@@ -46,6 +46,42 @@ class Absent:
     @property
     def breaks(self) -> bool:
         return self.status == "crash"
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The results of one family; a subclass has what was judged in each setting, and its table."""
+
+    name: str
+    title: str
+    quantity: str
+    settings: tuple[Any, ...]
+    seconds: Seconds = 0.0
+    declined: str = ""  # the candidate's own words, where it declined every setting
+    ended: str = ""  # how the process that traced the family ended, where it did
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def ok(self) -> bool:
+        return bool(self.settings) and not self.problems
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def problems(self) -> list[str]:
+        """Why the sweep fails, in lines."""
+        if self.ended:
+            return [f"{self.name}: the process that casts and judges ended: {self.ended}"]
+        if self.declined:
+            return [f"{self.name}: the candidate declined every setting: {self.declined}"]
+        return [
+            f"{self.name}, {self.quantity} {setting.x:g}: {problem}"
+            for setting in self.settings
+            for problem in self.problems_in(setting)
+        ]
+
+    def problems_in(self, setting: Any) -> Iterator[str]:
+        """Why a setting fails."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -79,40 +115,47 @@ class OriginSetting:
     file: str = ""  # the scene with the parent of the subject's first wrong ray
 
 
-@dataclass(frozen=True)
-class OriginSweep:
-    """The results of one family."""
+@dataclass(frozen=True, kw_only=True)
+class OriginSweep(Sweep):
+    """The results of one family by rule."""
 
-    name: str
-    title: str
-    quantity: str
-    subject: str
     settings: tuple[OriginSetting, ...]
-    seconds: float = 0.0
-    declined: str = ""  # always empty: a rule answers every setting
+    subject: str
 
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def ok(self) -> bool:
-        return bool(self.settings) and not self.problems
+    def problems_in(self, setting: OriginSetting) -> Iterator[str]:
+        """A setting without rays, and avoidable errors of the subject."""
+        score = setting.rules[self.subject]
+        if not setting.rays:
+            yield "no ray leaves a surface, so the setting tests nothing; more --rays may help"
+        elif isinstance(score, Absent):
+            yield f"{self.subject}: no answer: {score.why}"
+        elif score.wrong > score.unresolved:
+            words = ", ".join(f"{count} {name}" for name, count in score.errors.items() if count)
+            yield "\n      ".join((f"{self.subject}:", words, score.example, f"parent ray: {setting.file}"))
 
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def problems(self) -> list[str]:
-        """Why the sweep fails, in lines: settings without rays, and avoidable errors of the subject."""
-        return list(self._problems())
-
-    def _problems(self) -> Iterator[str]:
+    def rows(self) -> list[list[str]]:
+        names = list(self.settings[0].rules) if self.settings else []
+        found = [[self.quantity, "rays", *names, "unresolved"]]
         for setting in self.settings:
-            where, score = f"{self.name}, {self.quantity} {setting.x:g}", setting.rules[self.subject]
-            if not setting.rays:
-                yield f"{where}: no ray leaves a surface, so the setting tests nothing; more --rays may help"
-            elif isinstance(score, Absent):
-                yield f"{where}: {self.subject}: no answer: {score.why}"
-            elif score.wrong > score.unresolved:
-                words = ", ".join(f"{count} {name}" for name, count in score.errors.items() if count)
-                lines = (f"{where}: {self.subject}:", words, score.example, f"parent ray: {setting.file}")
-                yield "\n      ".join(lines)
+            scores = [setting.rules.get(name) for name in names]
+            cells = [
+                each.cell if isinstance(each, OriginScore) else getattr(each, "status", NOTHING) for each in scores
+            ]
+            excused = getattr(scores[0], "unresolved", NOTHING)
+            found.append([f"{setting.x:.4g}", str(setting.rays), *cells, str(excused)])
+        return found
+
+    def legend(self) -> str:
+        return (
+            "of each rule: rays with self-hit/skipped surface/wrong side\n"
+            f"unresolved: rays of {self.subject} with surfaces closer than float32 resolves"
+        )
+
+    def footnotes(self) -> Iterator[str]:
+        """Why a rule has no answer."""
+        scores = (item for setting in self.settings for item in setting.rules.items())
+        absent = (f"{name}: {score.status}: {score.why}" for name, score in scores if isinstance(score, Absent))
+        yield from dict.fromkeys(absent)
 
 
 def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spawn: Rule | None = None) -> OriginSweep:
@@ -139,8 +182,9 @@ def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spa
                     about = f"mitsuba-ref stress: {family.name}, {family.quantity} {x:g}"
                     file = write_parent(folder / f"{family.name}-{x:g}.toml", about, found, int(avoidable[0]))
         settings.append(OriginSetting(x, count, scores, file))
-    seconds = round(time.perf_counter() - start, 3)
-    return OriginSweep(family.name, family.title, family.quantity, subject, tuple(settings), seconds)
+    seconds = time.perf_counter() - start
+    words = family.name, family.title, family.quantity
+    return OriginSweep(*words, subject=subject, settings=tuple(settings), seconds=seconds)
 
 
 def leaving_of(family: Family, seed: int, x: float, count: int | None) -> LeavingRays | None:
@@ -158,33 +202,3 @@ def write_parent(path: Path, about: str, found: OriginFindings, row: int) -> str
     check_folder(path.parent)
     write_scene(path, found.scene_of(row), [about, found.example(row)])
     return str(path)
-
-
-def as_text(sweep: OriginSweep) -> str:
-    """The table of a sweep, with its failures."""
-    (_, *names), *settings = rows(sweep)
-    head = f"{'PASS' if sweep.ok else 'FAIL'}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
-    about = f"""x: {sweep.quantity}
-of each rule: rays with self-hit/skipped surface/wrong side
-unresolved: rays of {sweep.subject} with surfaces closer than float32 resolves"""
-    absent = {
-        f"{name}: {score.status}: {score.why}": None
-        for setting in sweep.settings
-        for name, score in setting.rules.items()
-        if isinstance(score, Absent)
-    }
-    ends = (folded(line) for line in (*absent, *(f"FAIL  {line}" for line in sweep.problems)))
-    return "\n".join([folded(head), about, *aligned([["x", *names], *settings]), *ends])
-
-
-def rows(sweep: OriginSweep) -> list[list[str]]:
-    """The head and one row a setting."""
-    names = list(sweep.settings[0].rules) if sweep.settings else []
-    found = [[sweep.quantity, "rays", *names, "unresolved"]]
-    for setting in sweep.settings:
-        scores = [setting.rules.get(name) for name in names]
-        cells = [each.cell if isinstance(each, OriginScore) else getattr(each, "status", NOTHING) for each in scores]
-        first = scores[0]
-        excused = first.unresolved if isinstance(first, OriginScore) else NOTHING
-        found.append([f"{setting.x:.4g}", str(setting.rays), *cells, str(excused)])
-    return found

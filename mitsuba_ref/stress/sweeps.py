@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, computed_field
@@ -27,7 +27,7 @@ from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import NOTHING, aligned, largest
-from mitsuba_ref.stress.origins import DEFAULT_RAYS, Absent, OriginSweep
+from mitsuba_ref.stress.origins import DEFAULT_RAYS, Absent, OriginSweep, Sweep
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64, Answer, CastRequest, NoAnswer, Subject, Unsupported
 
 # ---- casters and settings
@@ -149,14 +149,6 @@ class Score:
         return bool(self.wrong_masks or self.beyond)
 
 
-@dataclass(frozen=True)
-class Bound:
-    """Predictions of the error model: the largest bound of the setting's rays, in the family's unit."""
-
-    float32: float | None  # None: float32 resolves none of the rays
-    float64: float | None
-
-
 class Scorer:
     """Compares casters with the exact answers of one setting: to all rays, or in a closed mesh to some of them."""
 
@@ -179,10 +171,9 @@ class Scorer:
         unit = ready.family.unit
         self.unit = np.abs(self.exact.t) if unit is None else unit / np.linalg.norm(self.exact.d, axis=1)
 
-    @property
-    def bound(self) -> Bound:
-        sides = self.exact.bounds(KU, ours=False), self.exact.bounds(KU_OURS, ours=True)
-        return Bound(*(largest(bounds / self.unit) for bounds in sides))
+    def bound(self, ku: float, *, ours: bool) -> float | None:
+        """The prediction of the error model: the largest bound of the rays, in the family's unit."""
+        return largest(self.exact.bounds(ku, ours=ours) / self.unit)
 
     def score(self, answer: Answer, *, reference: bool = False) -> Score:
         """Score a caster: an answer is wrong if it is neither exact nor allowed by rounding in its precision.
@@ -234,86 +225,55 @@ class Scorer:
 
 # ---- sweeps
 
-JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
-
-
-@dataclass(frozen=True)
-class ExactCounts:
-    """Rays of a setting by their exact answers."""
-
-    adjudicated: int  # rays decided by exact arithmetic; a closed mesh needs only a sample
-    hits: int
-    misses: int
-    ties: int  # rays that hit several primitives at exactly the same t
+JSON_FORMAT = 4  # goes up when a key changes its meaning or goes away
 
 
 @dataclass(frozen=True)
 class SettingResult:
-    """Scores of all casters in one setting."""
+    """Exact answers to the rays of one setting, and the scores of all casters."""
 
     x: float
     rays: int
-    exact: ExactCounts
-    bound: Bound
+    adjudicated: int  # rays decided by exact arithmetic; a closed mesh needs only a sample
+    hits: int
+    ties: int  # rays that hit several primitives at exactly the same t
+    bound32: float | None  # None: float32 resolves none of the rays
+    bound64: float | None
     witnesses: Mapping[str, Score | Absent]  # by caster
     replay: str = ""  # the command that shows the first wrong ray of the subject
 
 
-@dataclass(frozen=True)
-class SweepResult:
-    """The results of one family."""
+@dataclass(frozen=True, kw_only=True)
+class SweepResult(Sweep):
+    """The results of one family by caster."""
 
-    name: str
-    title: str
-    quantity: str
+    settings: tuple[SettingResult, ...]
     error: str
     easiest: float
     misses: bool  # whether exact misses are expected; not from inside a closed mesh
-    settings: tuple[SettingResult, ...]
-    seconds: float = 0.0
-    declined: str = ""  # the candidate's own words, where it declined every setting
-    ended: str = ""  # how the process that traced the family ended, where it did
+
+    @classmethod
+    def of(cls, family: Family, settings: Sequence[SettingResult] = (), **more: Any) -> "SweepResult":
+        return cls(
+            family.name,
+            family.title,
+            family.quantity,
+            settings=tuple(settings),
+            error=family.error,
+            easiest=family.easiest,
+            misses=not family.closed,
+            **more,
+        )
 
     @property
     def casters(self) -> tuple[Caster, ...]:
         with_candidate = any(CANDIDATE.key in setting.witnesses for setting in self.settings)
         return BESIDE_CANDIDATE if with_candidate else CASTERS
 
-    @classmethod
-    def of(
-        cls,
-        family: Family,
-        settings: Sequence[SettingResult],
-        seconds: float = 0.0,
-        declined: str = "",
-        ended: str = "",
-    ) -> "SweepResult":
-        words = (family.name, family.title, family.quantity, family.error)
-        return cls(*words, family.easiest, not family.closed, tuple(settings), round(seconds, 3), declined, ended)
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def ok(self) -> bool:
-        return bool(self.settings) and not self.problems
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def problems(self) -> list[str]:
-        """Why the sweep fails, in lines."""
-        if self.ended:
-            return [f"{self.name}: the process that casts and judges ended: {self.ended}"]
-        if self.declined:
-            return [f"{self.name}: the candidate declined every setting: {self.declined}"]
-        return [
-            f"{self.name}, {self.quantity} {setting.x:g}: {problem}"
-            for setting in self.settings
-            for problem in self._problems_in(setting)
-        ]
-
-    def _problems_in(self, setting: SettingResult) -> Iterator[str]:
+    def problems_in(self, setting: SettingResult) -> Iterator[str]:
         """A setting without hits or misses, and errors of the subject: the candidate, or ours without one."""
-        counts = {"hits": setting.exact.hits} | ({"misses": setting.exact.misses} if self.misses else {})
-        for name in (name for name, count in counts.items() if not count):
+        needed = {"hits": setting.hits} | ({"misses": setting.rays - setting.hits} if self.misses else {})
+        for name in (name for name, count in needed.items() if not count):
             yield (
                 f"exact arithmetic has no {name} of {setting.rays} rays, so the setting tests nothing; "
                 "more --rays may help"
@@ -347,6 +307,52 @@ class SweepResult:
         scores = [setting.witnesses[key] for setting in self.settings]
         absent = [score for score in scores if isinstance(score, Absent)]
         return absent[0] if absent and len(absent) == len(scores) else None
+
+    def rows(self) -> list[list[str]]:
+        names = [name for caster in self.casters for name in (caster.key, "wrong")]
+        found = [[self.quantity, "rays", "hits", "ties", "bound 64", "bound 32", *names]]
+        for setting in self.settings:
+            counts = map(str, (setting.rays, setting.hits, setting.ties))
+            bounds = map(_number, (setting.bound64, setting.bound32))
+            found.append(row := [f"{setting.x:.4g}", *counts, *bounds])
+            for score in (setting.witnesses[caster.key] for caster in self.casters):
+                if isinstance(score, Absent):
+                    row += score.status, NOTHING
+                else:  # a ! where an error is beyond its bound
+                    row += _number(score.error) + "!" * bool(score.beyond), str(score.wrong_masks)
+        return found
+
+    def legend(self) -> str:
+        return f"of each caster: {self.error}, !: beyond its bound; wrong hits and misses"
+
+    def footnotes(self) -> Iterator[str]:
+        """Where each caster first breaks down; why one is absent."""
+        yield f"breaks down at: {', '.join(f'{each.key} {self.breakdown(each.key)}' for each in self.casters)}"
+        if not self.misses:
+            yield self.leaks()
+        for caster in self.casters:
+            if (absent := self.absence(caster.key)) and absent.status != "missing":
+                yield f"{caster.title}: {absent.status}: {absent.why}"
+
+    def breakdown(self, key: str) -> str:
+        """Where a caster first breaks down, in words."""
+        if absent := self.absence(key):
+            return absent.status
+        return " and ".join(f"{x:.4g}" for x in self.breakdowns[key]) or "never"
+
+    def leaks(self) -> str:
+        """Rays that leave a closed mesh, all settings together."""
+        found = []
+        for caster in self.casters:
+            scores = [setting.witnesses[caster.key] for setting in self.settings]
+            out = sum(score.false_misses for score in scores if isinstance(score, Score))
+            absent = self.absence(caster.key)
+            found.append(f"{caster.key} {absent.status if absent else out}")
+        return f"leaks of {sum(setting.rays for setting in self.settings)} rays: {', '.join(found)}"
+
+
+def _number(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.1e}" if value else "0"
 
 
 @dataclass(frozen=True)
@@ -389,100 +395,54 @@ def sweep(
     given = [ask_candidate(candidate, ready) if candidate else None for ready in settings]
     declined = [each.why for each in given if isinstance(each, Absent) and each.status == "not applicable"]
     if candidate and len(declined) == len(settings):
-        return SweepResult.of(family, (), time.perf_counter() - start, declined[0])
+        return SweepResult.of(family, seconds=time.perf_counter() - start, declined=declined[0])
     results = []
     for ready, answer in zip(settings, given, strict=True):
-        results.append(found := score_setting(ready, casters, answer))
+        found = score_setting(ready, casters, answer)
         subject = found.witnesses[casters[0].key]
         if folder and isinstance(subject, Score) and subject.breaks:
             file = check_folder(folder) / f"{family.name}-{ready.x:g}.toml"
             head = f"mitsuba-ref stress: ray {subject.first_wrong[0]} of {family.name}, {family.quantity} {ready.x:g}"
             write_text(file, f"# {head}\n\n{subject.scene}")
-            replay = shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words])
-            results[-1] = replace(found, replay=replay)
-    return SweepResult.of(family, results, time.perf_counter() - start)
+            found = replace(found, replay=shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words]))
+        results.append(found)
+    return SweepResult.of(family, results, seconds=time.perf_counter() - start)
 
 
 def score_setting(
     ready: PreparedSetting, casters: Sequence[Caster], given: Answer | Absent | None = None
 ) -> SettingResult:
     """Trace a setting by these casters and score their answers. given: the candidate's."""
-    answers: dict[str, Answer | Absent] = {CANDIDATE.key: given} if given else {}
+    answers: dict[Caster, Answer | Absent] = {CANDIDATE: given} if given else {}
     for each in casters:
         if each is not CANDIDATE:
-            answers[each.key] = trace_by_reference(each, ready) if each.variant else cast_by_bvh(ready)
+            answers[each] = trace_by_reference(each, ready) if each.variant else cast_by_bvh(ready)
     missed = [~found.hit for found in answers.values() if not isinstance(found, Absent)]
     scorer = Scorer(ready, np.any(missed, axis=0))
     scores = {
-        each.key: found
-        if isinstance(found := answers[each.key], Absent)
-        else scorer.score(found, reference=bool(each.variant))
-        for each in casters
+        each.key: found if isinstance(found, Absent) else scorer.score(found, reference=bool(each.variant))
+        for each, found in answers.items()
     }
-    hits, count = int(scorer.hit.sum()), len(ready.o)
-    ties = sum(len(answer.prims) > 1 for answer in scorer.exact.answers)
-    counts = ExactCounts(len(scorer.rows), hits, count - hits, ties)
-    return SettingResult(ready.x, count, counts, scorer.bound, scores)
+    return SettingResult(
+        ready.x,
+        len(ready.o),
+        adjudicated=len(scorer.rows),
+        hits=int(scorer.hit.sum()),
+        ties=sum(len(answer.prims) > 1 for answer in scorer.exact.answers),
+        bound32=scorer.bound(KU, ours=False),
+        bound64=scorer.bound(KU_OURS, ours=True),
+        witnesses=scores,
+    )
 
 
-# ---- a sweep as a table: its cells, and the text for a terminal
-
-
-def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
-    """The table of a sweep with breakdowns and failures; one line if everything was declined."""
+def as_text(sweep: SweepResult | OriginSweep, skip_unsupported: bool = False) -> str:
+    """The table of a sweep with its failures; one line if everything was declined."""
     if sweep.declined:
         mark, why = "SKIP" if skip_unsupported else "FAIL", sweep.declined.partition("\n")[0]
         return folded(f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}")
     mark = "PASS" if sweep.ok else "FAIL"
-    head = f"{mark}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
-    about = f"x: {sweep.quantity}\nof each caster: {sweep.error}, !: beyond its bound; wrong hits and misses"
-    (_, *names), *settings = rows(sweep)
+    head = f"{mark}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s\nx: {sweep.quantity}"
+    (_, *names), *settings = sweep.rows()
     problems = (f"FAIL  {line}" for line in sweep.problems)
-    return folded("\n".join([head, about, *aligned([["x", *names], *settings], step=2), *footnotes(sweep), *problems]))
-
-
-def rows(sweep: SweepResult) -> list[list[str]]:
-    """The head and one row a setting."""
-    names = [name for caster in sweep.casters for name in (caster.key, "wrong")]
-    found = [[sweep.quantity, "rays", "hits", "ties", "bound 64", "bound 32", *names]]
-    for setting in sweep.settings:
-        counts = [f"{setting.x:.4g}", str(setting.rays), str(setting.exact.hits), str(setting.exact.ties)]
-        bounds = [_number(setting.bound.float64), _number(setting.bound.float32)]
-        found.append(row := [*counts, *bounds])
-        for score in (setting.witnesses[caster.key] for caster in sweep.casters):
-            if isinstance(score, Absent):
-                row += score.status, NOTHING
-            else:  # a ! where an error is beyond its bound
-                row += _number(score.error) + "!" * bool(score.beyond), str(score.wrong_masks)
-    return found
-
-
-def _number(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.1e}" if value else "0"
-
-
-def footnotes(sweep: SweepResult) -> Iterator[str]:
-    """Where each caster first breaks down; why one is absent."""
-    yield f"breaks down at: {', '.join(f'{each.key} {breakdown(sweep, each.key)}' for each in sweep.casters)}"
-    if not sweep.misses:
-        yield leaks(sweep)
-    for caster in sweep.casters:
-        if (absent := sweep.absence(caster.key)) and absent.status != "missing":
-            yield f"{caster.title}: {absent.status}: {absent.why}"
-
-
-def breakdown(sweep: SweepResult, key: str) -> str:
-    if absent := sweep.absence(key):
-        return absent.status
-    return " and ".join(f"{x:.4g}" for x in sweep.breakdowns[key]) or "never"
-
-
-def leaks(sweep: SweepResult) -> str:
-    """Rays that leave a closed mesh, all settings together."""
-    found = []
-    for caster in sweep.casters:
-        scores = [setting.witnesses[caster.key] for setting in sweep.settings]
-        out = sum(score.false_misses for score in scores if isinstance(score, Score))
-        absent = sweep.absence(caster.key)
-        found.append(f"{caster.key} {absent.status if absent else out}")
-    return f"leaks of {sum(setting.rays for setting in sweep.settings)} rays: {', '.join(found)}"
+    table = aligned([["x", *names], *settings], step=2)
+    return folded("\n".join([head, sweep.legend(), *table, *sweep.footnotes(), *problems]))

@@ -191,7 +191,7 @@ def test_a_budget_ends_the_run_and_the_next_call_goes_on(campaign):
         ),
         (["c.toml", "--html", "-", "--json", "-"], 2, "--html -: expected a file, since the JSON"),
         (["no.sqlite", "--unit", "x"], 2, "no.sqlite: expected the campaign file with --unit or --history"),
-        (["empty.toml"], 5, "nothing selected"),
+        (["empty.toml"], 2, "seeds must be a list that is not empty"),
         (["vacuous.toml"], 5, "nothing judged"),
     ],
 )

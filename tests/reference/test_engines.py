@@ -290,7 +290,7 @@ def test_bench_times_on_one_worker_a_machine(tmp_path, monkeypatch, capsys):
     assert main([*words, "--engine", "dask", "--json", "run.json"]) == 0
     record = json.loads(Path("run.json").read_text())
     assert [scene["name"] for scene in record["scenes"]] == ["one-sphere", "overdraw-256"]
-    assert all(row["seconds"] for scene in record["scenes"] for row in scene["rows"] if row["side"] == "ours")
+    assert all(row["seconds"] for scene in record["scenes"] for row in scene["rows"] if row["key"] == "ours")
     assert record["machine"]["mitsuba"] and not capsys.readouterr().err.count("Traceback")
     with scheduler(workers=2) as (address, _), Cluster(f"dask:{address}", 1, worker_identity) as cluster:
         cluster.client.wait_for_workers(2)

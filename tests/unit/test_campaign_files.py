@@ -42,6 +42,9 @@ def units(tmp_path, monkeypatch):
         (FUZZ.replace("30", "2_000_000"), "expected a campaign of at most 99 units"),
         (2 * "[[subject]]\n" + FUZZ, "needs subjects of different names, got 'ours' twice"),
         ('[[job]]\ntype = "films"\nscenes = 1\nsizes = [[70000, 9]]\n', "sizes[0][0] must be <= 65536"),
+        ('[[job]]\ntype = "films"\nscenes = 1\nsizes = [[16]]\n', "sizes[0] must be 2 numbers [width, height], got 1"),
+        ('[[job]]\ntype = "stress"\nvalues = []\n', ":3:1: job[0] (stress): values must be a list that is not empty"),
+        ("seeds = []\n" + FUZZ, ":1:1: campaign: seeds must be a list that is not empty"),
         (FUZZ.replace("30", "2_000_000_000"), "campaign.toml:4:1: job[0] (fuzz): examples must be <= 10000000"),
         ('[[subject]]\nname = ""\n' + FUZZ, "campaign.toml:2:1: subject[0]: name may not be empty"),
         ("[[subject]]\nserve = true\n" + FUZZ, ":2:1: subject[0]: serve is an option of a candidate, and"),
@@ -60,6 +63,12 @@ def test_a_mistake_in_a_campaign_file_is_named_with_its_place(units, monkeypatch
 def test_a_scene_file_that_is_not_there_is_named(units):
     with pytest.raises(FileMissing, match=r"campaign\.toml:3:11: .*no/such\.toml: expected a scene file or a folder"):
         units(SCENES.format("no/such.toml"))
+
+
+def test_a_folder_without_scenes_is_named(units, tmp_path):
+    (tmp_path / "nothing").mkdir()
+    with pytest.raises(SceneError, match=r"scenes\[0\] names no scene: .*/nothing: expected scene files"):
+        units(SCENES.format("nothing"))
 
 
 def test_units_are_every_combination_and_each_has_a_key_of_its_own(units):
@@ -110,7 +119,7 @@ def test_a_worker_with_other_files_than_the_run_judges_nothing(units, tmp_path):
 
 def test_a_unit_alone_prints_the_scene_of_its_replay(units, monkeypatch, capsys):
     (unit, *_) = units(FUZZ)
-    failure = Failure(SUBJECT, "missed", "ours: miss", 2, "mitsuba-ref probe {scene} 0 0", "# one ray\n[film]\n")
+    failure = Failure(SUBJECT, "missed", "ours: miss", 2, "mitsuba-ref probe @scene 0 0", "# one ray\n[film]\n")
     monkeypatch.setattr(run, "run_unit", lambda _: Result("", 9, 4, 7, failures=(failure,)))
     assert run.run_one([unit], unit.name) == 1
     assert capsys.readouterr().out.endswith("replay: mitsuba-ref probe scene.toml 0 0\n# one ray\n[film]\n")
@@ -178,7 +187,7 @@ def with_keys(units, ending):
 
 def test_a_failure_is_new_once_then_stands_and_is_gone_with_its_fix(units, tmp_path):
     made = units(FUZZ)
-    scene = Failure(SUBJECT, "missed", "ours: miss\nexact: hit", 2, "mitsuba-ref probe {scene} 0 0", "# one ray")
+    scene = Failure(SUBJECT, "missed", "ours: miss\nexact: hit", 2, "mitsuba-ref probe @scene 0 0", "# one ray")
     with History(tmp_path / "h.sqlite", create=True) as history:
         assert finish(history, made) == (1, len(made))
         assert report_of(history).ok
@@ -232,7 +241,7 @@ def test_wrong_answers_of_the_reference_come_once_a_case_with_the_smallest_scene
 
     def failures(unit):
         text = "#" * sizes[unit.key]
-        return (Failure(REFERENCE, "case 3: a cap", "Mitsuba is wrong", 4, "mitsuba-ref probe {scene} 0 0", text),)
+        return (Failure(REFERENCE, "case 3: a cap", "Mitsuba is wrong", 4, "mitsuba-ref probe @scene 0 0", text),)
 
     with History(tmp_path / "h.sqlite", create=True) as history:
         finish(history, made, failures)
