@@ -45,20 +45,21 @@ def color_ratios(textures: Sequence[Any], parts: Sequence[Any], at: ColoredPoint
 def _mesh_ratio(texture: Any, part: Any, at: ColoredPoints, ku: float) -> Array:
     """As color_ratios, of colours of a mesh; formulas (24) to (26)."""
     faces = part.faces[at.prim]
-    a, b, c = part.vertices[faces].transpose(1, 0, 2)
+    corners = part.vertices[faces]
     colors = np.asarray(texture.vertices)[faces] if texture.faces is None else np.asarray(texture.faces)[at.prim, None]
-    first, second, third = np.broadcast_to(colors, (len(faces), 3, 3)).transpose(1, 0, 2)
-    u, v, x = b - a, c - a, at.p - a
-    (uu, uv, vv), (ux, vx) = (((u * u).sum(1), (u * v).sum(1), (v * v).sum(1)), ((u * x).sum(1), (v * x).sum(1)))
+    first, others = colors[:, 0], colors[:, 1:] if texture.faces is None else np.repeat(colors, 2, axis=1)
+    edges, x = corners[:, 1:] - corners[:, :1], at.p - corners[:, 0]
+    gram, along = np.einsum("nik,njk->nij", edges, edges), np.einsum("nik,nk->ni", edges, x)
+    (uu, uv), vv = gram[:, 0].T, gram[:, 1, 1]
     area, most = uu * vv - uv * uv, uu * vv + uv * uv
-    b1, b2 = ((vv * ux - uv * vx) / area)[:, None], ((uu * vx - uv * ux) / area)[:, None]
-    unit = BARYCENTRIC_ROUNDINGS * ku * most / area * np.sqrt((x * x).sum(1)) / area
-    off1 = (unit * (vv * np.sqrt(uu) + np.abs(uv) * np.sqrt(vv)))[:, None]
-    off2 = (unit * (uu * np.sqrt(vv) + np.abs(uv) * np.sqrt(uu)))[:, None]
-    change = off1 * np.abs(second - first) + off2 * np.abs(third - first)
-    rounding = 6.0 * ku * ((1.0 + np.abs(b1) + np.abs(b2)) * first + np.abs(b1) * second + np.abs(b2) * third)
+    adjugate = np.stack([vv, -uv, -uv, uu], axis=1).reshape(-1, 2, 2)
+    b = np.einsum("nij,nj->ni", adjugate, along) / area[:, None]
+    unit = BARYCENTRIC_ROUNDINGS * ku * np.linalg.norm(x, axis=1) * most / area / area
+    off = unit[:, None] * np.einsum("nij,nj->ni", np.abs(adjugate), np.linalg.norm(edges, axis=2))
+    change = np.einsum("ni,nik->nk", off, np.abs(others - first[:, None]))
+    rounding = 6.0 * ku * (first + np.einsum("ni,nik->nk", np.abs(b), others + first[:, None]))
     bound = np.where((BARYCENTRIC_ROUNDINGS * ku * most < 0.5 * area)[:, None], change + rounding, np.inf)
-    expected = first + b1 * (second - first) + b2 * (third - first)
+    expected = first + np.einsum("ni,nik->nk", b, others - first[:, None])
     return largest_of_columns(error_over_bound(np.abs(at.colors - expected), bound))
 
 

@@ -315,7 +315,7 @@ def test_a_broken_ascii_ply_is_an_error_with_its_line(load, old, new, words):
 
 # ---- OFF and STL
 
-OFF = b"OFF\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 2 1\n3 0 3 4\n4 0 1 2 3\n"
+OFF = b"OFF\n5 3 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 2 1\n3 0 3 4\n4 0 1 2 3\n3 4 3 2\n"
 
 
 @pytest.mark.parametrize(
@@ -330,7 +330,7 @@ OFF = b"OFF\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 2 1\n3 0 3 4\n4 0 1 2 3\n"
 )
 def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     mesh = parse_off(data, "x.off")
-    assert mesh.faces.tolist() == [[0, 3, 4], [0, 1, 2], [0, 2, 3]] and mesh.faces.dtype == np.int32
+    assert mesh.faces.tolist() == [[0, 3, 4], [0, 1, 2], [0, 2, 3], [4, 3, 2]] and mesh.faces.dtype == np.int32
     assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 2, 1]]
     assert mesh.normals is None and mesh.uv is None
 
@@ -339,10 +339,10 @@ def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     ("old", "new", "says"),
     [
         (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
-        (b"5 2 0", b"5", "x.off:2: expected numbers of vertices and faces, got '5'"),
-        (b"5 2 0", b"5 3 0", "x.off: truncated: expected 3 rows of element 'face', got 2 whole ones"),
+        (b"5 3 0", b"5", "x.off:2: expected numbers of vertices and faces, got '5'"),
+        (b"5 3 0", b"5 4 0", "x.off: truncated: expected 4 rows of element 'face', got 3 whole ones"),
         (b"1 1 0", b"1 one 0", "x.off:5: expected numbers, got '1 one 0'"),
-        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: truncated: expected 2 rows of element 'face', got 1"),
+        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: row 1 of element 'face': expected 5 numbers, got 4"),
         (b"3 0 3 4", b"2 0 3", "x.off:8: face 0 needs at least 3 vertices, got 2"),
         (b"3 0 3 4", b"3 0 3 5", "x.off:8: face 0 must join vertices 0 to 4 (the file has 5), got 5"),
     ],

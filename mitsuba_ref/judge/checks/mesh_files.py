@@ -6,13 +6,11 @@ file's order; corners have to share vertices in the same way; normals and uv hav
 the nearest float32 at once, the caster to float64, which is rounded to float32 later. Both results agree, unless the
 float64 number lies halfway between two float32 numbers; then either is right.
 
-Mitsuba's OBJ reader supports neither negative indices nor continued lines, and it has no reader of STL or OFF: such a
-file is rewritten as an OBJ first. Files that its loader refuses, such as glTF and PLY with polygons, are reported as
-not compared.
+Mitsuba's OBJ reader supports neither negative indices nor continued lines: such a file is rewritten first. Files that
+its loader refuses, such as STL, OFF, glTF and PLY with polygons, are reported as not compared.
 """
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,15 +35,10 @@ def files_of(scene: Scene) -> dict[Path, Any]:
 
 def for_mitsuba(file: Path, folder: Path, number: int) -> Path:
     """The file itself, or an OBJ with the same faces in `folder` if Mitsuba's loader does not support the file."""
-    rewrite = REWRITE.get(file.suffix.lower())
-    if rewrite is None:
-        return file
-    data = file.read_bytes()
-    rewritten = rewrite(data)
-    if rewritten is data:
+    if file.suffix.lower() != ".obj" or not NEEDS_REWRITING.search(data := file.read_bytes()):
         return file
     copy = folder / f"mesh-file-{number}.obj"
-    copy.write_bytes(rewritten)
+    copy.write_bytes(_plain_obj(data))
     return copy
 
 
@@ -54,8 +47,6 @@ NEEDS_REWRITING = re.compile(rb"\\|\r(?!\n)|\A\xef\xbb\xbf|^[ \t]*(fo[ \t]|f[^\r
 
 def _plain_obj(data: bytes) -> bytes:
     """An OBJ file with absolute indices and without continued lines."""
-    if not NEEDS_REWRITING.search(data):
-        return data
     counts = {b"v": 0, b"vt": 0, b"vn": 0}
     lines = []
     whole = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", re.sub(rb"#[^\r\n]*", b"", data.removeprefix(b"\xef\xbb\xbf")))
@@ -72,33 +63,6 @@ def _absolute(corner: bytes, counts: list[int]) -> bytes:
     numbers = zip(corner.split(b"/"), counts, strict=False)
     return b"/".join(b"%d" % (count + 1 + int(text)) if text[:1] == b"-" else text for text, count in numbers)
 
-
-STL_HEAD, STL_FACET = 84, 50  # bytes
-
-
-def _stl_as_obj(data: bytes) -> bytes:
-    """An STL file as an OBJ, three vertices for each facet. It is binary if its size fits its number of facets."""
-    if len(data) == STL_HEAD + STL_FACET * int.from_bytes(data[80:STL_HEAD], "little"):
-        facets = np.frombuffer(
-            data, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "u2")], offset=STL_HEAD
-        )
-        corners = facets["corners"].reshape(-1, 3).astype(float).tolist()
-        lines = [b"v %r %r %r" % tuple(corner) for corner in corners]
-    else:
-        lines = [b"v " + b" ".join(corner) for corner in re.findall(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", data)]
-    return b"\n".join([*lines, *(b"f %d %d %d" % (k, k + 1, k + 2) for k in range(1, len(lines), 3))])
-
-
-def _off_as_obj(data: bytes) -> bytes:
-    rows = [words for line in data.splitlines() if (words := line.split(b"#")[0].split())]
-    (vertices, faces, *_), *rows = [rows[0][1:], *rows[1:]] if len(rows[0]) > 1 else rows[1:]  # counts may follow OFF
-    lines = [b"v " + b" ".join(row[:3]) for row in rows[: int(vertices)]]
-    for size, *corners in rows[int(vertices) : int(vertices) + int(faces)]:
-        lines.append(b"f " + b" ".join(b"%d" % (int(i) + 1) for i in corners[: int(size)]))
-    return b"\n".join(lines)
-
-
-REWRITE: dict[str, Callable[[bytes], bytes]] = {".obj": _plain_obj, ".stl": _stl_as_obj, ".off": _off_as_obj}
 
 # ---- comparison
 
@@ -148,14 +112,12 @@ DIGITS_ALIKE = bytes.maketrans(b"0123456789", b"0" * 10)
 
 def _in_file(file: Path) -> tuple[set[bool], set[bool]]:
     """Whether corners have a uv, and whether they have a normal: {True}, {False}, or both in an OBJ file."""
-    data, suffix = file.read_bytes(), file.suffix.lower()
-    if suffix == ".ply":
+    data = file.read_bytes()
+    if file.suffix.lower() == ".ply":
         header = data[: data.find(b"end_header")]
         found = (re.search(rb"\bproperty\s+\w+\s+" + name, header) for name in (rb"(u|s|texture_u)\s", rb"nx\s"))
         uv, normals = ({match is not None} for match in found)
         return uv, normals
-    if suffix != ".obj":
-        return {False}, {False}
     kinds: set[bytes] = set()
     for line in re.finditer(rb"^[ \t]*fo?[ \t]([^\r\n#\\]*)", _plain_obj(data), re.MULTILINE):
         kinds.update(line[1].translate(DIGITS_ALIKE).split())
