@@ -16,7 +16,6 @@ from caster.cli.shared_arguments import (
     output_file_unless_number,
 )
 from caster.description.errors import SceneError, error_prefix
-from caster.description.parsing import list_errors
 from caster.system.process import OK
 
 
@@ -50,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
         check_image_name(option, path)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
+    from caster.description.parsing import list_errors
 
     check_film_size("-size", *args.size)
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}

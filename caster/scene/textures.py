@@ -14,7 +14,6 @@ from caster.description.fields import ArrayOf, Description, FixedArray, Flag, Re
 from caster.description.input_files import read_input
 from caster.description.transform import dot_rows, power
 from caster.geometry.mesh_files import load_once, readable
-from caster.geometry.packing import Packed
 from caster.kernels.surface.texturing import (
     BILINEAR,
     CLAMP,
@@ -232,7 +231,7 @@ else:
     ]
 
 
-def texture_arrays(textures: Sequence[Any], packed: Packed) -> Textures:
+def texture_arrays(textures: Sequence[Any], packed: Any) -> Textures:
     """The textures of all shapes, or None, as kernels read them; a picture of several shapes has its texels once."""
     settings, to_texels = np.full((len(textures), 5), NO_TEXTURE), np.zeros((len(textures), 2, 3))
     texels, first, count = [np.zeros((0, 3))], dict[int, int](), 0

@@ -45,7 +45,8 @@ def full_name(page: str) -> str:
     if wanted in names:
         return wanted
     if wanted not in short:
-        hint = suggestion(wanted, [*sorted(names - {MAP}), *short])
+        below = ", ".join(sorted(name for name in names if name.startswith(f"{wanted.strip('/')}/")))
+        hint = f": in that folder are {below}" if below else suggestion(wanted, [*sorted(names - {MAP}), *short])
         raise SceneError(f"docs: there is no page {page!r} (mitsuba-ref docs lists all){hint}")
     return short[wanted]
 

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.intersections import Array, largest_of_columns, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, largest_of_columns, norm, without_float_warnings
 from mitsuba_ref.error_model.tolerances import BARYCENTRIC_ROUNDINGS, KU, SRGB_DECODING_ROUNDINGS, U32
 
 
@@ -54,8 +54,8 @@ def _mesh_ratio(texture: Any, part: Any, at: ColoredPoints, ku: float) -> Array:
     area, most = uu * vv - uv * uv, uu * vv + uv * uv
     adjugate = np.stack([vv, -uv, -uv, uu], axis=1).reshape(-1, 2, 2)
     b = np.einsum("nij,nj->ni", adjugate, along) / area[:, None]
-    unit = BARYCENTRIC_ROUNDINGS * ku * np.linalg.norm(x, axis=1) * most / area / area
-    off = unit[:, None] * np.einsum("nij,nj->ni", np.abs(adjugate), np.linalg.norm(edges, axis=2))
+    unit = BARYCENTRIC_ROUNDINGS * ku * norm(x) * most / area / area
+    off = unit[:, None] * np.einsum("nij,nj->ni", np.abs(adjugate), np.sqrt(np.stack([uu, vv], axis=1)))
     change = np.einsum("ni,nik->nk", off, np.abs(others - first[:, None]))
     rounding = 6.0 * ku * (first + np.einsum("ni,nik->nk", np.abs(b), others + first[:, None]))
     bound = np.where((BARYCENTRIC_ROUNDINGS * ku * most < 0.5 * area)[:, None], change + rounding, np.inf)

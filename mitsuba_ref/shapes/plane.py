@@ -199,7 +199,7 @@ def _face_of_hit(prims: Patches, k: Array, o: Array, d: Array, t: Array) -> tupl
 def _height(corners: Array) -> Array:
     """Smallest heights (m,) of triangles with corners (m, 3, 3)."""
     edges = np.roll(corners, -1, axis=1) - corners
-    return norm(np.cross(edges[:, 0], edges[:, 1])) / np.linalg.norm(edges, axis=2).max(axis=1)
+    return norm(np.cross(edges[:, 0], edges[:, 1])) / norm(edges.reshape(-1, 3)).reshape(-1, 3).max(axis=1)
 
 
 def _least_height(half: Array, face: Array) -> Array:

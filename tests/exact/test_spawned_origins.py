@@ -97,7 +97,7 @@ def test_the_float64_filter_agrees_with_exact_arithmetic():
     side = np.where((rays.rays.n * w).sum(axis=1) < 0, -1, 1)[:, None]
     off = 10.0 ** rng.uniform(-17, 0, (count, 1)) * (side * rays.rays.n + 0.3 * rng.normal(size=(count, 3)))
     off *= rng.choice([1.0, 1.0, -1.0], (count, 1))  # some start on the other side
-    rays = rays.at(rays.rays.p + off)
+    rays = rays._replace(rays=rays.rays._replace(q=rays.rays.p + off))
     judge = OriginJudge(Oracle(rays.packed))
     sure = judge.certainly_right(rays.rays)
     exact = np.array([judge.judge_exactly(rays.rays.rows(row))[0] for row in range(count)])
