@@ -22,6 +22,7 @@ from pages import WIDTH, markdown, read_result, write_page
 from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.drivers import FILM
+from mitsuba_ref.bench.machine import CORES
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS
@@ -109,8 +110,8 @@ def lines(run: Run) -> Iterator[str]:
     it = run.settings
     yield HEAD
     yield textwrap.fill(
-        f"{len(run.scenes)} scenes of {it['size']} x {it['size']} pixels or as many rays, {it['threads']} threads, "
-        f"medians of {it['alternations']} alternations.",
+        f"{len(run.scenes)} scenes of {it['size']} x {it['size']} pixels or as many rays, "
+        f"{run.machine[CORES]} processors, medians of {it['alternations']} alternations.",
         WIDTH,
     )
     if missing := sorted({*run.requested} - {scene.name for scene in run.scenes}):

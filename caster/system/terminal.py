@@ -162,10 +162,6 @@ class StatusLine:
             self._display.start()
         self._display.update(Text(printable(content, keep=""), no_wrap=True, overflow="crop"), refresh=True)
 
-    def about(self, what: str) -> Callable[[str], None]:
-        """A function that shows words about something."""
-        return lambda words: self.show(f"{what}: {words}")
-
     def erase(self) -> None:
         """Remove the line from the terminal; a later `show` draws it again."""
         if self._display is not None:

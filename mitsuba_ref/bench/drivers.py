@@ -36,7 +36,6 @@ class Work:
 
     folder: str
     workload: str
-    threads: int  # how many processors it may use
     driver: str  # "module:class" of the caster, in mitsuba_ref.bench
     aovs: tuple[str, ...] = AOVS
     options: Mapping[str, Any] = field(default_factory=dict)  # its own
@@ -124,7 +123,7 @@ class Ours(Driver):
         return int(self.scene.film.width * self.scene.film.height)
 
     def _render(self, scene: caster.Scene) -> None:
-        self.caster.render(scene, self.work.aovs, threads=self.work.threads, dtype=np.float32)
+        self.caster.render(scene, self.work.aovs, dtype=np.float32)
 
 
 class Candidate(Driver):

@@ -10,7 +10,7 @@ from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.html_report import commit
 from mitsuba_ref.report.results import libllvm
 
-LOAD, CORES = "load before", "processors used"
+LOAD, CORES, REVISION = "load before", "processors used", "revision"
 
 
 def machine_properties() -> dict[str, str]:
@@ -20,6 +20,6 @@ def machine_properties() -> dict[str, str]:
         "kernel": platform.release(),
         LOAD: f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
         "caster": __version__,
-        "revision": commit(str(PACKAGE_PARENT)) or "unknown",
+        REVISION: commit(str(PACKAGE_PARENT)) or "unknown",
         "libLLVM": libllvm(),
     }

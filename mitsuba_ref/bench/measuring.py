@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from caster.rendering.threads import core_count
 from caster.system.atomic_files import ScratchFolder
+from caster.system.terminal import report_stage
 from mitsuba_ref.bench.casters import TimedCaster
 from mitsuba_ref.bench.drivers import AOVS, Work
 from mitsuba_ref.bench.result import Row, SceneResult
@@ -32,8 +34,6 @@ MAX_CAST_S = 0.2  # seconds of a slow caster's cast; its film is made smaller un
 WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
 REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
 
-Progress = Callable[[str], None]
-
 
 class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
     """A caster's process has ended; str() is the reason, in one line."""
@@ -43,15 +43,14 @@ class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
 class Settings:
     size: int
     alternations: int
-    threads: int = 1
 
 
-def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> ResidentProcess:
+def start_process(caster: TimedCaster, folder: str, scene: BenchScene) -> ResidentProcess:
     """Start the process of a caster (worker.py), which may fail, crash or hang.
 
     folder: as `write_scene` writes it.
     """
-    work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
+    work = Work(folder, scene.workload, caster.driver, scene.aovs, caster.options)
     environment = {**variants.environment_for(caster.variant), "PYTHONPATH": import_path()}
     with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
         fd = notices.fileno()
@@ -128,32 +127,30 @@ def fitting_size(first: int, seconds: float, most: int) -> int:
     return min(first * 2**doublings, most)
 
 
-def time_scene(
-    scene: BenchScene, casters: Sequence[TimedCaster], settings: Settings, on_progress: Progress = lambda words: None
-) -> SceneResult:
+def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], settings: Settings) -> SceneResult:
     """Time all casters on a scene, in turns, and measure their errors, unless other AOVs are asked for."""
     begun = time.perf_counter()
     with ScratchFolder() as folder:
-        on_progress("making the scene")
+        report_stage("making the scene")
         ready = write_scene(scene, Path(folder), settings.size)
         runs = [CasterRun(each, settings.size, row={"why": each.missing()}) for each in casters]
         try:
-            on_progress("starting the casters")
+            report_stage("starting the casters")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
                 if not run.row["why"]:
-                    run.process = start_process(run.caster, folder, scene, settings.threads)
-            with ThreadPoolExecutor(settings.threads) as pool:
+                    run.process = start_process(run.caster, folder, scene)
+            with ThreadPoolExecutor(core_count()) as pool:
                 list(pool.map(lambda run: run.go(CasterRun.compile), runs))
+            report_stage("warming up")
             for run in runs:
-                on_progress(f"warming up: {run.caster.title}")
                 run.go(CasterRun.warm_up)
             for turn in range(settings.alternations):
-                on_progress(f"alternation {turn + 1}/{settings.alternations}")
+                report_stage(f"alternation {turn + 1}/{settings.alternations}")
                 first = turn % len(runs)  # so that none always follows the same
                 for run in [*runs[first:], *runs[:first]]:
                     run.go(CasterRun.time_cast)
             if scene.aovs == AOVS:
-                on_progress("exact answers")
+                report_stage("exact answers")
                 rows = sampled_rows(len(ready.o))
                 exact = ExactHits(ready, ready.o[rows], ready.d[rows])
                 for run in runs:

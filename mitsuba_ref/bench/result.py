@@ -7,11 +7,10 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
-from caster.system.terminal import folded
 from mitsuba_ref.bench.drivers import AOVS, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
-JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
+JSON_FORMAT = 4  # goes up when a key changes its meaning or goes away
 REFERENCE_ROW, CANDIDATE_ROW = "ours", "candidate"  # ratios are to the first
 
 
@@ -86,7 +85,7 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class Run:
-    """A whole run. settings: size, alternations, threads; machine: versions, CPU; requested: scenes to time."""
+    """A whole run. settings: size, alternations, candidate; machine: versions, CPU; requested: scenes to time."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, str]
@@ -139,7 +138,7 @@ def overview(run: Run) -> list[list[str]]:
 
 def overview_text(run: Run) -> str:
     head = "milliseconds of ours, and how many times as fast as each of the others it is"
-    return folded("\n".join([head, *aligned(overview(run), left=2)]))
+    return "\n".join([head, *aligned(overview(run), left=2)])
 
 
 def as_text(scene: SceneResult) -> str:
@@ -147,7 +146,7 @@ def as_text(scene: SceneResult) -> str:
     aovs = f"; {', '.join(scene.aovs)}" if scene.aovs != AOVS else ""
     head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives{aovs})"
     about = "times as fast as this row: ours; errors of t; wrong hits and misses, +: hits beyond their bound"
-    return folded("\n".join([head, *aligned(rows(scene), left=1), about]))
+    return "\n".join([head, *aligned(rows(scene), left=1), about])
 
 
 def summary(run: Run) -> str:

@@ -64,9 +64,7 @@ class Worker:
 
 
 def main(work: Work, notices: int) -> None:
-    """Answer requests until stdin ends, on as many processors as the work may use."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[: work.threads]))
+    """Answer requests until stdin ends."""
     with os.fdopen(notices, "w") as stream, compilation_reported(stream):
         serve(Worker(work).reply)
 

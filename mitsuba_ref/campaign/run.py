@@ -20,13 +20,11 @@ from mitsuba_ref.campaign.history import BUDGET, COMPLETE, INTERRUPTED, History
 from mitsuba_ref.campaign.report import as_html, as_text, keep_scenes, report_of
 from mitsuba_ref.campaign.units import SCENE_PLACE, SUBJECT, Result, SubjectError, Unit, ended, run_unit, units_of
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.html_report import commit
 from mitsuba_ref.report.results import STANDARD_OUTPUT, plural, print_lines, write_output, write_result
-from mitsuba_ref.runner.engine import opened
+from mitsuba_ref.runner.engine import outcomes_of
 from mitsuba_ref.runner.verdict_files import code_hash
-from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 
 
 class CampaignRun:
@@ -55,11 +53,9 @@ class CampaignRun:
             self.computed += 1
             return result
 
+        calls = ((unit,) for unit in self.waiting)
         try:
-            with (
-                opened(engine, workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT) as pool,
-                closing(pool.map(run_unit, ((unit,) for unit in self.waiting), record)) as outcomes,
-            ):
+            with closing(outcomes_of(engine, workers, run_unit, calls, record)) as outcomes:
                 for unit in self.waiting:
                     if time.monotonic() - start >= (limits.seconds or math.inf) or rays >= (limits.rays or math.inf):
                         state = BUDGET
@@ -137,8 +133,7 @@ def show(history: History, args: argparse.Namespace, *, ran: bool) -> int:
             raise
         print(f"without the scenes of replays: {error}", file=sys.stderr)
     print_lines(f"\n{as_text(found)}", _stream(args))
-    if args.json:
-        write_result(found, args.json)
+    write_result(found, args.json)
     if args.html:
         write_output(as_html(found), args.html)
     if found.new or (args.strict and found.standing):

@@ -59,11 +59,8 @@ UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 
 def seconds(text: str) -> float:
     """Parse a time > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
-    match = re.fullmatch(r"([\d.e+-]+)\s*([smh]?)", text)
-    try:
-        value = float(match[1]) * UNITS[match[2]] if match else 0.0
-    except ValueError:
-        value = 0.0
+    match = re.fullmatch(r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([smh]?)", text)
+    value = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0.0 < value <= MAX_SECONDS:
         most = f"{MAX_SECONDS:,.0f} s"
         raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, at most {most}, got '{text}'")
@@ -483,7 +480,6 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add("--size", positive_int, f"pixels a side; default: {DEFAULT_SIZE}", default=DEFAULT_SIZE)
     help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
     add("--alternations", positive_int, help_, default=DEFAULT_ALTERNATIONS)
-    add("--threads", positive_int, "processors that each may use; default: all")
     add_engine(add)
     add_json(parser)
     add_mesh_dirs(parser)

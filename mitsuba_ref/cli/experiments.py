@@ -2,20 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from caster.cli.shared_arguments import comma_separated
 from caster.description.errors import SceneError
-from caster.rendering.threads import core_count
 from caster.system.cluster import CallEnded
 from caster.system.process import DIFFERENCES, OK
-from caster.system.terminal import StatusLine
+from caster.system.terminal import ProgressBar, StatusLine
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
-from mitsuba_ref.bench.machine import CORES, LOAD, machine_properties
+from mitsuba_ref.bench.machine import LOAD, REVISION, machine_properties
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.result import CANDIDATE_ROW, REFERENCE_ROW, Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
@@ -27,10 +25,9 @@ from mitsuba_ref.hard.swept_families import SPAWNED, SWEPT
 from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, chosen, interpreter
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.results import libllvm, print_lines, write_result
-from mitsuba_ref.runner.engine import LOCAL, opened
+from mitsuba_ref.runner.engine import LOCAL, opened, outcomes_of
 from mitsuba_ref.runner.version_comparison import (
     LEGEND,
     SceneComparison,
@@ -39,7 +36,6 @@ from mitsuba_ref.runner.version_comparison import (
     scene_text,
     summary_text,
 )
-from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.stress import origins, sweeps
 from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
@@ -64,12 +60,9 @@ def run_stress(args: argparse.Namespace) -> int:
     about = args.seed, args.rays, args.out, candidate, words, args.spawn
     calls = ((family, *about) for family in families)
     here = args.engine == LOCAL and (candidate or args.spawn)  # it runs in this process, alone
-    limit = CALL_TIMEOUTS * DEFAULT_TIMEOUT
+    workers = 1 if here else args.workers
     try:
-        with (
-            opened(args.engine, 1 if here else args.workers, limit, forks=not here) as engine,
-            closing(engine.map(sweep_family, calls)) as outcomes,
-        ):
+        with closing(outcomes_of(args.engine, workers, sweep_family, calls, forks=not here)) as outcomes:
             for i, family in enumerate(families):
                 line.show(f"stress: {i + 1}/{len(families)} {family.name}")
                 outcome = next(outcomes)
@@ -79,7 +72,7 @@ def run_stress(args: argparse.Namespace) -> int:
                     done.append(outcome.value())
                 line.erase()
                 found = done[-1]
-                print(f"{sweeps.as_text(found, args.skip_unsupported)}\n", file=options.table_stream(args), flush=True)
+                print_lines(f"{sweeps.as_text(found, args.skip_unsupported)}\n", options.table_stream(args))
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)
     if not run.judged:
@@ -107,8 +100,7 @@ def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family],
     installed = {name: machine()[name] for name in ("mitsuba", "drjit", "numpy")} | {"libllvm": libllvm()}
     requested = tuple(family.name for family in families)
     run = StressRun(args.seed, installed, requested, tuple(done), args.skip_unsupported)
-    if args.json:
-        write_result(run, args.json)
+    write_result(run, args.json)
     declined = [sweep.name for sweep in done if sweep.declined]
     failing = [sweep.name for sweep in done if not sweep.ok and not sweep.declined]
     names = f": {', '.join(failing)}" if failing else ""
@@ -116,7 +108,7 @@ def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family],
     if declined:
         waived = "" if args.skip_unsupported else "; they fail the run without --skip-unsupported"
         text += f"\n{len(declined)} declined by the candidate: {', '.join(declined)}{waived}"
-    print(f"{options.missing_variants()}{text}", file=options.table_stream(args))
+    print_lines(f"{options.missing_variants()}{text}", options.table_stream(args))
     return run
 
 
@@ -129,69 +121,54 @@ def run_bench(args: argparse.Namespace) -> int:
     candidate = options.requested_candidate(args, takes_rays=True)
     if args.list:
         return options.print_list(scenes)
-    here = args.engine == LOCAL
-    threads = args.threads or (core_count() if here else ALL_CORES)
-    if here and threads > core_count():
-        raise SceneError(f"--threads {threads}: this process may use {core_count()}")
     if interpreter() != sys.executable:
         raise SceneError(f"{PYTHON_VARIABLE}: bench times the Mitsuba that is installed beside it; unset it")
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
-    settings = Settings(args.size, args.alternations, threads)
+    settings = Settings(args.size, args.alternations)
     caster = None
     if candidate:
         served = isinstance(args.candidate, ServedProgram)
         caster = casters.candidate_caster(str(args.candidate), args.candidate_precision, served=served)
-    recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
-    machine: Mapping[str, str] = machine_properties()
+    machine = machine_properties()
     done, calls = list[SceneResult](), [(scene, caster, settings) for scene in scenes]
     try:
-        for its_machine, result in timed_here(machine, calls) if here else timed_elsewhere(args.engine, calls):
-            machine = machine if done else its_machine
-            for name in machine:
-                if name != LOAD and machine[name] != its_machine.get(name):
-                    raise SceneError(f"--engine {args.engine}: expected equal machines, got two of another {name}")
-            done.append(result)
-            print(f"{as_text(result)}\n", file=options.table_stream(args), flush=True)
+        with (  # one scene at a time on each machine
+            opened(args.engine, 1, SCENE_SECONDS, forks=False) as engine,
+            closing(ProgressBar("bench", len(calls))) as bar,
+            closing(engine.map(time_on_worker, calls)) as outcomes,
+        ):
+            if engine.cluster:
+                engine.cluster.check_one_worker_a_machine()
+            for outcome in outcomes:
+                its_machine, result = outcome.value()
+                machine = machine if done else its_machine
+                for name in machine:
+                    if name not in (LOAD, REVISION) and machine[name] != its_machine.get(name):
+                        raise SceneError(f"--engine {args.engine}: expected equal machines, got two of another {name}")
+                done.append(result)
+                with bar.aside():
+                    print_lines(f"{as_text(result)}\n", options.table_stream(args))
+                bar.add(1, f"{len(done)} of {len(calls)} scenes")
     finally:  # what is done is kept, whatever ends the work
-        recorded["threads"] = threads or int(machine[CORES].partition(" ")[0])
+        recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
         run = Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done))
-        if args.json:
-            write_result(run, args.json)
+        write_result(run, args.json)
         text = f"{overview_text(run)}\n\n{options.missing_variants()}{summary(run)}"
-        print(text, file=options.table_stream(args))
+        print_lines(text, options.table_stream(args))
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.key == REFERENCE_ROW)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 
 
-BenchCall = tuple[BenchScene, casters.TimedCaster | None, Settings]
-TimedScene = tuple[Mapping[str, str], SceneResult]  # with the properties of the machine
-ALL_CORES = 0  # threads of a run elsewhere: those of the worker's machine
-SCENE_SECONDS = 3600.0  # a limit of the time for one scene elsewhere
+SCENE_SECONDS = 3600.0  # a limit of the time for one scene on a cluster
 
 
-def timed_here(machine: Mapping[str, str], calls: Sequence[BenchCall]) -> Iterator[TimedScene]:
-    line = StatusLine()
-    for i, (scene, caster, settings) in enumerate(calls):
-        progress = line.about(f"bench: {i + 1}/{len(calls)} {scene.name}")
-        found = time_scene(scene, casters.casters_for(scene, caster), settings, progress)
-        line.erase()
-        yield machine, found
-
-
-def timed_elsewhere(name: str, calls: Sequence[BenchCall]) -> Iterator[TimedScene]:
-    """One scene at a time on each machine of a cluster. Raises ClusterError."""
-    with opened(name, 1, SCENE_SECONDS) as engine:
-        if engine.cluster:
-            engine.cluster.check_one_worker_a_machine()
-        with closing(engine.map(time_on_worker, calls)) as outcomes:
-            yield from (outcome.value() for outcome in outcomes)
-
-
-def time_on_worker(scene: BenchScene, caster: casters.TimedCaster | None, settings: Settings) -> TimedScene:
-    every = replace(settings, threads=settings.threads or core_count())
-    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), every)
+def time_on_worker(
+    scene: BenchScene, caster: casters.TimedCaster | None, settings: Settings
+) -> tuple[dict[str, str], SceneResult]:
+    """The properties of this machine, and the times of a scene."""
+    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), settings)
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
@@ -237,7 +214,6 @@ def run_versions(args: argparse.Namespace) -> int:
             print_lines(f"{scene_text(done[-1])}\n", out)
     finally:  # what is done is kept, whatever ends the work
         result = VersionComparison(tuple(found), tuple(done))
-        if args.json:
-            write_result(result, args.json)
+        write_result(result, args.json)
         print_lines(summary_text(result), out)
     return OK if result.ok else DIFFERENCES

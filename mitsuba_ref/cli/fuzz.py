@@ -15,7 +15,7 @@ from mitsuba_ref.fuzz.findings import replay_text
 from mitsuba_ref.fuzz.fuzz_run import Drawing, FuzzRun
 from mitsuba_ref.hard import FAMILIES
 from mitsuba_ref.reference import variants
-from mitsuba_ref.report.results import write_result
+from mitsuba_ref.report.results import print_lines, write_result
 from mitsuba_ref.subjects.subject import OURS
 
 DEFAULT_SECONDS = 60.0
@@ -43,9 +43,8 @@ def run(args: argparse.Namespace) -> int:
             line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {done.seconds:.0f} s")
     finally:  # what is found is kept, whatever ends the work
         line.erase()
-        print(findings.text(running.outcome), file=options.table_stream(args))
-        if args.json:
-            write_result(running.outcome, args.json)
+        print_lines(findings.text(running.outcome), options.table_stream(args))
+        write_result(running.outcome, args.json)
     return OK if running.outcome.ok else DIFFERENCES
 
 

@@ -14,7 +14,6 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, OK
-from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_original, refuse, table_stream
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
@@ -24,7 +23,7 @@ from mitsuba_ref.judge.checks.secondary_rays import MITSUBA, RULES, LeavingRays,
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
-from mitsuba_ref.report.results import write_result
+from mitsuba_ref.report.results import print_lines, write_result
 from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.runner.validation_run import RunOptions
 from mitsuba_ref.stress.origins import write_parent
@@ -115,13 +114,13 @@ def run(args: argparse.Namespace) -> int:
         raise SceneError("judge: expected --hits, or --spawned with or without --spawn")
     out = without_earlier_results(args)
     scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_arrays(args.hits, HIT_ARRAYS)
-    options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir", *REFERENCE_OPTIONS)
+    words = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir", *REFERENCE_OPTIONS)
     entries = entries_of_hits(
-        Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.row, options
+        Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.row, words
     )
     check_arrays(hits, len(found.rows), args.hits)
-    judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
-    return judge_entries(args, entries, RunOptions(judge, html=args.html), out)
+    options = RunOptions(JudgeOptions(subject=entries[0].subject), html=args.html)
+    return judge_entries(args, entries, options, out)
 
 
 def check_arrays(hits: Mapping[str, Array], count: int, where: str) -> None:
@@ -145,19 +144,18 @@ def run_spawned(args: argparse.Namespace) -> int:
     except NoAnswer as error:
         print(f"FAIL  {error}", file=sys.stderr)
         return DIFFERENCES
-    if args.json:
-        write_result({**found.counts(), "wrong": found.wrong.tolist()}, args.json)
+    write_result({**found.counts(), "wrong": found.wrong.tolist()}, args.json)
     if (found.found == UNDECIDED).all():
         raise NothingSelected(f"nothing judged: {found.text()}: their parents hit nothing, or graze it")
     lines = [f"{'FAIL' if len(found.wrong) else 'PASS'}  {found.text()}"]
     if len(found.wrong):
         row = int(found.wrong[0])
-        lines.append(folded(f"      ray {row}: {found.example(row)}"))
+        lines.append(f"      ray {row}: {found.example(row)}")
         if args.out:
             path = Path(args.out) / f"{Path(args.scene).stem}.spawned-origin.{row}.toml"
             about = f"The parent of ray {row} of {args.spawned}."
             lines.append(f"      parent ray: {write_parent(path, about, found, row)}")
-    print("\n".join(lines), file=table_stream(args))
+    print_lines("\n".join(lines), table_stream(args))
     return DIFFERENCES if len(found.wrong) else OK
 
 

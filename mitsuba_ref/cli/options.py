@@ -12,12 +12,11 @@ from caster.cli.shared_arguments import check_utf8_name, load
 from caster.description.errors import SceneError, suggestion
 from caster.scene.model import Scene
 from caster.system.process import NOTHING_SELECTED, OK
-from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
-from mitsuba_ref.report.results import STANDARD_OUTPUT
+from mitsuba_ref.report.results import STANDARD_OUTPUT, print_lines
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
@@ -124,7 +123,7 @@ def missing_variants() -> str:
     """A line on the variants of Mitsuba that do not work here; "" if all do."""
     works = variants.usable_variants()
     missing = [name for name in variants.VARIANT_NAMES if name not in works.names]
-    return folded(f"{', '.join(missing)}: does not work here: {works.why}\n") if missing else ""
+    return f"{', '.join(missing)}: does not work here: {works.why}\n" if missing else ""
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:
@@ -154,5 +153,5 @@ def select(items: Sequence[Any], what: str, words: Sequence[str]) -> list[Any]:
 def print_list(items: Sequence[Any]) -> int:
     """Print the names and titles that --list asks for."""
     width = max(len(item.name) for item in items) + 2
-    print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
+    print_lines("\n".join(f"{item.name:{width}}{item.title}" for item in items))
     return OK

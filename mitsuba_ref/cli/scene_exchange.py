@@ -15,14 +15,14 @@ from caster.scene.textures import Bitmap
 from caster.shapes import Mesh
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from caster.system.process import DIFFERENCES, OK
-from caster.system.terminal import folded, printable
+from caster.system.terminal import printable
 from mitsuba_ref.cli.options import load_scene_or_original, opening_of
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.original_files import ImportedScene, import_xml
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
-from mitsuba_ref.report.results import plural
+from mitsuba_ref.report.results import plural, print_lines
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.subjects.subject import scene_as_traced
 
@@ -40,13 +40,13 @@ def run_render(args: argparse.Namespace) -> int:
     try:
         images, versions = render_reference(scene, names, timeout=args.timeout)
     except MitsubaError as crash:
-        print(folded(f"{args.scene}: {crash}"))
+        print_lines(f"{args.scene}: {crash}")
         return DIFFERENCES
     more = {f"caster/reference/{name}": version for name, version in versions.items()}
     write_render(args.output, scene, [images], args.scene, more)
     height, width = images.hit.shape
     print(f"{args.output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(names)}")
-    print(folded(", ".join(f"{name} {version}" for name, version in versions.items())))
+    print_lines(", ".join(f"{name} {version}" for name, version in versions.items()))
     return OK
 
 
@@ -69,11 +69,11 @@ def run_import(args: argparse.Namespace) -> int:
     comment = "".join(f"# {printable(line, keep='')}\n" for line in head)
     write_text(args.output, comment + to_toml(scene, folder))
     for line in found.left_out:
-        print(folded(line))
+        print_lines(line)
     print(f"{args.output}: {plural(len(found.scene.shapes), 'shape')}, {len(found.left_out)} left out or changed")
     folders = {Path(file).parent for file in files_of(found.scene)}
     for outside in sorted(str(each) for each in folders if not each.is_relative_to(folder)):
-        print(folded(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used"))
+        print_lines(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used")
     return OK
 
 
@@ -140,5 +140,5 @@ def run_export(args: argparse.Namespace) -> int:
         write_text(folder / "scene.toml", to_toml(traced, folder.resolve()))
         print(f"{folder / 'scene.toml'}: the same with the float32 values that are traced")
     for note in exported.notes:
-        print(folded(f"note: {note}"))
+        print_lines(f"note: {note}")
     return OK

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.bounces and candidate is not None and not candidate.takes_rays:
         raise SceneError(f"--bounces: expected a candidate that takes rays; {candidate.name} renders images")
     options = RunOptions(
-        JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
+        JudgeOptions(timeout=args.timeout, store=args.store, subject=candidate, thorough=args.thorough),
         args.workers,
         args.engine,
         args.maxfail,
@@ -168,8 +168,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
 
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     """Write --json, --junit and --summary-md. Raises OutputError."""
-    if args.json:
-        write_result(verdict, args.json)
+    write_result(verdict, args.json)
     if args.junit:
         write_text(args.junit, junit(verdict))
     if args.summary_md:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import pydantic.dataclasses
 from pydantic import computed_field
 
-from caster.system.terminal import folded
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.report.results import aligned
 
@@ -80,7 +79,6 @@ class Failure:
     family: str
     example: str  # the options that make the scene it was shrunk from
     file: str
-    unshrunk: str  # the file of the scene as it was drawn
     replay: str  # the command that checks the kept scene again
 
 
@@ -135,11 +133,10 @@ def text(outcome: Outcome) -> str:
         f"FAIL  {failure.kind}: {failure.what}\n"
         f"      scene:  {failure.file}\n"
         f"      replay: {failure.replay}\n"
-        f"      from:   mitsuba-ref fuzz {failure.example}\n"
-        f"      from:   {failure.unshrunk}"
+        f"      from:   mitsuba-ref fuzz {failure.example}"
         for failure in outcome.failures
     ]
-    return folded("\n".join([*aligned([["family", *head], *rows], left=1), about, *failures, *_summary(outcome)]))
+    return "\n".join([*aligned([["family", *head], *rows], left=1), about, *failures, *_summary(outcome)])
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:

@@ -25,9 +25,7 @@ from mitsuba_ref.hard.family import Family, HardScene
 from mitsuba_ref.hard.random_parts import shape_types
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import prepared_scene
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
-from mitsuba_ref.runner.engine import LOCAL, opened
-from mitsuba_ref.runner.workers import CALL_TIMEOUTS
+from mitsuba_ref.runner.engine import LOCAL, outcomes_of
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -165,11 +163,8 @@ class FuzzRun:
         source = iter(numbers)
         batches, again = itertools.tee(iter(lambda: tuple(itertools.islice(source, at_once)), ()))
         calls = ((self.drawing, each) for each in itertools.takewhile(lambda _: time.monotonic() < deadline, again))
-        workers, limit = 1 if self.here else self.workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT
-        with (
-            opened(self.engine, workers, limit, forks=not self.here) as engine,
-            closing(engine.map(try_examples, calls)) as outcomes,
-        ):
+        workers = 1 if self.here else self.workers
+        with closing(outcomes_of(self.engine, workers, try_examples, calls, forks=not self.here)) as outcomes:
             for outcome, batch in zip(outcomes, batches, strict=False):
                 if not isinstance(outcome.error, CallEnded):
                     yield from outcome.value()
@@ -197,11 +192,9 @@ class FuzzRun:
         attempts = MITSUBA_SHRINK_ATTEMPTS if finding.kind in JUDGED_KINDS else SHRINK_ATTEMPTS
         judge = partial(find, kind=finding.kind, subject=self.subject)
         shrinker = Shrinker(case_of(tried.made.data), finding, judge, attempts, self.deadline + SHRINK_GRACE_S)
-        drawn = case_of(tried.made.data, finding.ray)
         family = tried.family.name
         found_by = shlex.join([*self.drawing.words(tried.number), *self.options])
         name = f"{finding.kind}-{family}-{tried.seed}-{tried.number}"
-        unshrunk = write_kept(self.folder / "unshrunk", name, finding, found_by, drawn, self.options)
         try:
             if not finding.what.startswith(ENDED):  # which would end this process
                 shrinker.run()
@@ -210,7 +203,7 @@ class FuzzRun:
             file = str(write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options))
             replay = shlex.join(["mitsuba-ref", "fuzz", "--replay", file, *self.options])
             about = finding.kind, smallest.what, family, found_by
-            self.outcome.failures.append(Failure(*about, file, str(unshrunk), replay))
+            self.outcome.failures.append(Failure(*about, file, replay))
 
 
 def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:

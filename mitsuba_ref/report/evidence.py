@@ -24,8 +24,8 @@ CLASS_COLORS = {
 UNLISTED_COLOR = (255, 105, 180)
 
 
-def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> None:
-    """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
+def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> list[str]:
+    """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr, NAME.verdict.exr; names. Raises OutputError."""
     scene, pair = judge.scene, judge.pair
     classified = pair.any_hit | judgement.is_class(*FAILING)
     ratio = np.max([*judgement.ratios.values()], axis=0)
@@ -47,9 +47,10 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
         "caster/classes": ", ".join(f"{code} {each}" for code, each in enumerate(CLASSES)),
         "caster/class_colors": ", ".join(f"{code} #{color}" for code, color in enumerate(colors)),
     }
-    for which, channels in images.items():
-        path = folder / f"{name}.{which}.exr"
-        write_exr(path, channels, about, data_window=scene.film.window, display_window=film)
+    files = {f"{name}.{which}.exr": channels for which, channels in images.items()}
+    for file, channels in files.items():
+        write_exr(folder / file, channels, about, data_window=scene.film.window, display_window=film)
+    return list(files)
 
 
 def clipped_to_float32(values: Array) -> Array:

@@ -8,19 +8,10 @@ from typing import Any
 from caster.description.errors import SceneError
 from caster.description.input_files import read_text
 from caster.system.atomic_files import check_folder, write_text
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import Verdict
 from mitsuba_ref.report.results import json_text, plural
 
-IMAGES = ("ours", "reference", "verdict")
 VERDICT = "verdict.json"
-
-
-def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
-    """Names of the files of a scene; none if there was no comparison."""
-    if verdict.problem:
-        return ()
-    images = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
-    return (*(f"{verdict.name}.{which}.exr" for which in images), *verdict.reproducers)
 
 
 class OutFolder:

@@ -28,9 +28,10 @@ def json_text(result: Any) -> str:
     return json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
 
 
-def write_result(result: Any, file: str) -> None:
-    """Write the JSON of a result. Raises OutputError."""
-    write_output(json_text(result), file)
+def write_result(result: Any, file: str | None) -> None:
+    """Write the JSON of a result to the file of --json, if it was given. Raises OutputError."""
+    if file:
+        write_output(json_text(result), file)
 
 
 def write_output(text: str, file: str) -> None:

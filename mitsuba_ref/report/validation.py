@@ -89,16 +89,18 @@ def validate_scene(
             bands.append(judged_film(seen.judge, seen.judgement))
         if folder is None or not isinstance(seen, Seen):
             return verdict
-        write_images(folder, images, seen.judge, seen.judgement)
-        files, left_out = write_reproducers(folder, name, path or name, seen, first_ray)
-        return replace(verdict, reproducers=files, not_stored=left_out)
+        files.extend(write_images(folder, images, seen.judge, seen.judgement))
+        reproducers, left_out = write_reproducers(folder, name, path or name, seen, first_ray)
+        files.extend(reproducers)
+        return replace(verdict, reproducers=reproducers, not_stored=left_out)
 
-    bands: list[JudgedFilm] = []
+    bands, files = list[JudgedFilm](), list[str]()
     verdict = judge_film(task, finish)
     if film_of_bounce := task.bounce:
         verdict = verdict.with_failures(lambda each: replace(each, pixel=film_of_bounce.pixel(each.x, each.y)))
     whole = joined(bands) if bands and not verdict.problem else None
-    return replace(verdict, film=whole, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
+    seen, seconds = verdict.seen if keep else None, time.perf_counter() - start
+    return replace(verdict, film=whole, files=tuple(files), seen=seen, seconds=seconds)
 
 
 def _cast_as_judged(scene: Scene) -> None:

@@ -327,6 +327,6 @@ def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
         yield f"by shape:   scenes that fail: {words}"
     if first := simplest_failing(scenes):
         count = first.composition.primitives
-        size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"
+        size = f"{plural(count, 'primitive')}, {first.pixels} pixels"
         yield f"look first: {first.name}, the simplest of them ({size})"
         yield f"            {replay(first, (first.failures[0].x, first.failures[0].y) if first.failures else None)}"

@@ -16,9 +16,10 @@ from caster.rendering.threads import core_count
 from caster.system import process
 from caster.system.cluster import Cluster, Outcome
 from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import LIBRARIES, PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
 from mitsuba_ref.runner.verdict_files import OUR_SETTINGS, code_hash
-from mitsuba_ref.runner.workers import Workers
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS, Workers
 
 LOCAL = "local"
 INTERRUPTED_SECONDS = 1.5  # given to calls in progress to end after an interruption
@@ -102,6 +103,23 @@ def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True
         return
     with Workers(seconds) if forks else contextlib.nullcontext() as pool:
         yield Engine(count, seconds, pool)
+
+
+def outcomes_of(
+    name: str,
+    workers: int | None,
+    function: Callable[..., Any],
+    calls: Iterable[tuple[Any, ...]],
+    then: Callable[[Any], Any] = lambda result: result,
+    *,
+    forks: bool = True,
+) -> Generator[Outcome, None, None]:
+    """The outcomes of an engine that is opened for these calls alone. Arguments as for `opened` and `Engine.map`."""
+    with (
+        opened(name, workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT, forks=forks) as engine,
+        closing(engine.map(function, calls, then)) as outcomes,
+    ):
+        yield from outcomes
 
 
 SOURCES, SETTINGS = "source code", "environment"

@@ -26,7 +26,6 @@ from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request,
 from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.reference.store import StoreFolder, key_of, local_store
-from mitsuba_ref.report.out_folder import files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner.engine import LOCAL, Engine, opened
@@ -212,8 +211,6 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         failed = SceneVerdict(entry.name, entry.path, problem=problem_of(error))
         verdict = _completed(failed, entry, scene, options)
-    if folder:
-        verdict = replace(verdict, files=tuple(name for name in files_of(verdict) if (folder / name).is_file()))
     if store and key and not verdict.problem:
         store.put(key, json.dumps(verdict.to_dict(), allow_nan=False).encode())
     return verdict

@@ -39,14 +39,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(f"{OPTION}-size", nargs=2, type=int, metavar=("W", "H"), help=film)
     candidate = "another ray caster, judged in place of ours: package.module:function, or a command"
     group.addoption(f"{OPTION}-candidate", metavar="CANDIDATE", help=candidate)
-    precision = "its arithmetic, float32 or float64; default: the type of what it returns"
-    group.addoption(f"{OPTION}-candidate-precision", metavar="PRECISION", help=precision)
     page = "write a report for the browser on all judged scenes into this folder"
     group.addoption(f"{OPTION}-html", metavar="DIR", help=page)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "mitsuba_ref: a scene, by --mitsuba-ref")
     if folder := config.getoption(f"{OPTION}-html"):
         config.pluginmanager.register(Report(config, config.invocation_params.dir / folder), REPORT)
     if config.getoption("mitsuba_ref"):
@@ -122,9 +119,6 @@ class ScenePlugin:
     """Collects scenes."""
 
     def __init__(self, config: pytest.Config) -> None:
-        """Raises pytest.UsageError for a precision without a candidate."""
-        if config.getoption(f"{OPTION}-candidate-precision") and not config.getoption(f"{OPTION}-candidate"):
-            raise pytest.UsageError(f"{OPTION}-candidate-precision: expected {OPTION}-candidate beside it")
         self.named = {Path(config.invocation_params.dir, arg.split("::")[0]).resolve() for arg in config.args}
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
@@ -146,9 +140,7 @@ class SceneFile(pytest.File):
     """The file of a scene."""
 
     def collect(self) -> Iterator[SceneTest]:
-        test: SceneTest = SceneTest.from_parent(self, name=VERDICT)
-        test.add_marker("mitsuba_ref")
-        yield test
+        yield SceneTest.from_parent(self, name=VERDICT)
 
 
 class SceneTest(pytest.Item):
@@ -158,11 +150,9 @@ class SceneTest(pytest.Item):
         from caster.description.errors import SceneError
         from caster.system.terminal import printable
 
-        size, candidate, precision = (
-            self.config.getoption(f"{OPTION}-{name}") for name in ("size", "candidate", "candidate-precision")
-        )
+        size, candidate = (self.config.getoption(f"{OPTION}-{name}") for name in ("size", "candidate"))
         path = os.path.relpath(self.path, self.config.invocation_params.dir)
         try:
-            judged(self.config, path, path, candidate=candidate, size=size and tuple(size), precision=precision)
+            judged(self.config, path, path, candidate=candidate, size=size and tuple(size))
         except SceneError as error:
             pytest.fail(printable(str(error)), pytrace=False)

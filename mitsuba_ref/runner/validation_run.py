@@ -43,7 +43,7 @@ class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far."""
 
     def __init__(self, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None = None) -> None:
-        """entries: the scenes of all shards. out: the folder of options.judge. Raises OutputError."""
+        """entries: the scenes of all shards. out: for the images of both sides. Raises OutputError."""
         self.every, self.options = entries, options
         self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
         self.candidate_name = options.judge.subject.name if options.judge.subject else ""
@@ -61,7 +61,8 @@ class ValidationRun:
         # A thread for each core: more would wait for each other, a twentieth of the time.
         threads = None if self.candidate_name else max(1, core_count() // max(1, min(workers, len(self.entries))))
         threads = threads if self.options.engine == LOCAL else 1
-        judge = self.options.judge._replace(page_of=page_record if self.html else None, threads=threads)
+        folder, page_of = self.out.folder if self.out else None, page_record if self.html else None
+        judge = self.options.judge._replace(folder=folder, page_of=page_of, threads=threads)
         with (
             many_scenes.engine_for(self.entries, judge, self.options.engine, workers) as engine,
             closing(

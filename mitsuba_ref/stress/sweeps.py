@@ -14,7 +14,6 @@ from pydantic.dataclasses import dataclass
 
 from caster.rendering.hits import cast
 from caster.system.atomic_files import ScratchFolder, check_folder, write_text
-from caster.system.terminal import folded
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
@@ -439,10 +438,10 @@ def as_text(sweep: SweepResult | OriginSweep, skip_unsupported: bool = False) ->
     """The table of a sweep with its failures; one line if everything was declined."""
     if sweep.declined:
         mark, why = "SKIP" if skip_unsupported else "FAIL", sweep.declined.partition("\n")[0]
-        return folded(f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}")
+        return f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}"
     mark = "PASS" if sweep.ok else "FAIL"
     head = f"{mark}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s\nx: {sweep.quantity}"
     (_, *names), *settings = sweep.rows()
     problems = (f"FAIL  {line}" for line in sweep.problems)
     table = aligned([["x", *names], *settings], step=2)
-    return folded("\n".join([head, sweep.legend(), *table, *sweep.footnotes(), *problems]))
+    return "\n".join([head, sweep.legend(), *table, *sweep.footnotes(), *problems])

@@ -101,7 +101,7 @@ from mitsuba_ref.bench.drivers import Ours, Work
 from mitsuba_ref.bench.mitsuba_drivers import Integrator, mi
 
 aovs = ("depth", "normal", "shading_normal", "diffuse")
-work = Work(sys.argv[1], "film", 1, "", aovs, {"mode": "robust", "variant": "llvm_ad_rgb"})
+work = Work(sys.argv[1], "film", "", aovs, {"mode": "robust", "variant": "llvm_ad_rgb"})
 ours, aov = Ours(work), Integrator(work)
 for each in (ours, aov):
     each.build(64)

@@ -286,7 +286,7 @@ def test_a_cluster_that_goes_on_judges_the_candidate_of_today(tmp_path, monkeypa
 @pytest.mark.slow("starts clusters")
 def test_bench_times_on_one_worker_a_machine(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["bench", "one-sphere", "overdraw-256", "--size", "8", "--alternations", "1", "--threads", "1"]
+    words = ["bench", "one-sphere", "overdraw-256", "--size", "8", "--alternations", "1"]
     assert main([*words, "--engine", "dask", "--json", "run.json"]) == 0
     record = json.loads(Path("run.json").read_text())
     assert [scene["name"] for scene in record["scenes"]] == ["one-sphere", "overdraw-256"]
@@ -302,13 +302,12 @@ def test_bench_refuses_times_of_different_machines(tmp_path, monkeypatch, capsys
     fast, slow = ({"processor": name, LOAD: name, CORES: "2 of 4"} for name in ("fast", "slow"))
     result = SceneResult("one-sphere", "", "film", 1, ())
     for second, code in (({**fast, LOAD: "9"}, 0), (slow, 2)):
-        monkeypatch.setattr(
-            experiments, "timed_elsewhere", lambda *_, second=second: iter([(fast, result), (second, result)])
-        )
+        found = iter([(fast, result), (second, result)])
+        monkeypatch.setattr(experiments, "time_on_worker", lambda *_, found=found: next(found))
         file = tmp_path / f"{code}.json"
-        assert main(["bench", "one-sphere", "mesh-70k", "--engine", "dask:tcp://x:1", "--json", str(file)]) == code
+        assert main(["bench", "one-sphere", "mesh-70k", "--json", str(file)]) == code
         record = json.loads(file.read_text())
-        assert len(record["scenes"]) == 2 - (code > 0) and record["settings"]["threads"] == 2
+        assert len(record["scenes"]) == 2 - (code > 0) and record["machine"][CORES] == "2 of 4"
     assert "expected equal machines, got two of another processor" in capsys.readouterr().err
 
 

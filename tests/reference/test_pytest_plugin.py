@@ -226,11 +226,6 @@ def test_a_candidate_that_declines_or_is_not_there_fails(folder):
         assert says in found.stdout.str()
 
 
-def test_a_precision_without_a_candidate_is_refused(folder):
-    found = run(folder, "--mitsuba-ref", "scenes", "--mitsuba-ref-candidate-precision", "float32")
-    assert "expected --mitsuba-ref-candidate beside it" in found.stderr.str() + found.stdout.str()
-
-
 SCENES_IN_TEST = ("good", "touching-spheres")
 IN_TESTS = """
 import pytest

@@ -200,6 +200,7 @@ def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_pat
     assert code == 1 and f"at ray {row}" in text and f"--row {row}" in scene["failures"][0]["replay"]
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"scene.candidate.exr", "scene.verdict.exr", "verdict.json", f"scene.wrong.{row}.toml"} <= files
+    assert set(scene["files"]) == files - {"verdict.json"}
     assert (tmp_path / "r/index.html").stat().st_size > 10000 and "<failure" in (tmp_path / "j.xml").read_text()
     kept = caster.load_scene(tmp_path / "out" / f"scene.wrong.{row}.toml")
     expected = caster.cast(kept, [kept.camera.origin], [kept.camera.direction]).t[0]

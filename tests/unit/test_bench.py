@@ -167,7 +167,7 @@ ENDS = {
 def test_every_end_of_a_process_is_a_reason(script, monkeypatch):
     monkeypatch.setattr(measuring, "REQUEST_TIMEOUT_S", 0.5 if "sleep" in script else 30.0)
     monkeypatch.setattr(measuring, "WORKER", (sys.executable, "-c", script))
-    process = measuring.start_process(BY_KEY["ours"], "/nowhere", BY_NAME["one-sphere"], 1)
+    process = measuring.start_process(BY_KEY["ours"], "/nowhere", BY_NAME["one-sphere"])
     with pytest.raises(CasterEnded) as end:
         CasterRun(BY_KEY["ours"], 4, process).request(do="build", size=4)
     assert str(end.value) == ENDS[script]
@@ -179,8 +179,8 @@ def test_every_end_of_a_process_is_a_reason(script, monkeypatch):
 
 SCORE = Score(2000, 5.25, 0.25, 0, 1)
 FIXED = Run(
-    settings={"size": 1024, "alternations": 3, "threads": 2, "candidate": ""},
-    machine={"processor": "an abacus"},
+    settings={"size": 1024, "alternations": 3, "candidate": ""},
+    machine={"processor": "an abacus", "processors used": "2 of 4"},
     requested=("one-sphere", "mesh-70k"),
     scenes=(
         result(
@@ -237,7 +237,6 @@ def test_the_page_has_the_conditions_every_row_and_the_plot(tmp_path):
     ("words", "code", "says"),
     [
         ("mesh-70", 2, "scene 'mesh-70': unknown, did you mean 'mesh-70k'?"),
-        ("one-sphere --threads 4096", 2, "--threads 4096: this process may use"),
         ("one-sphere --aov depht", 2, "aov 'depht': unknown, did you mean 'depth'?"),
         ("rays --aov depth", 5, "nothing selected"),
         ("nothing.obj", 4, "nothing.obj"),

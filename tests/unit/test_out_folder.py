@@ -10,11 +10,11 @@ from verdict_factory import scene as made
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report.html_report import HtmlReport
-from mitsuba_ref.report.out_folder import IMAGES, files_of
 from mitsuba_ref.report.scene_record import SceneRecord
 from mitsuba_ref.runner import many_scenes, validation_run
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
+IMAGES = ("ours", "reference", "verdict")
 REMOVED = "of an earlier run, now obsolete"
 
 
@@ -31,10 +31,11 @@ def judged(tmp_path, monkeypatch):
         if name in settings["problem"]:
             return made(name, ok=False, problem="crash")
         assert not Path("out/verdict.json").exists()  # of an earlier run, while this one goes on
-        files = tuple(f"{name}.{each}.toml" for each in settings["reproducers"])
-        for file in (*files, *(f"{name}.{which}.exr" for which in IMAGES)):
+        reproducers = tuple(f"{name}.{each}.toml" for each in settings["reproducers"])
+        files = (*(f"{name}.{which}.exr" for which in IMAGES), *reproducers)
+        for file in files:
             (folder / file).write_bytes(f"{file}\n".encode())
-        return made(name, reproducers=files)
+        return made(name, reproducers=reproducers, files=files)
 
     class Bar(ProgressBar):
         def add(self, count, extra=""):
@@ -108,11 +109,6 @@ def test_a_listed_file_that_is_not_the_scenes_or_not_in_the_folder_stays(judged)
     record["scenes"][0]["files"] += others
     Path("out/verdict.json").write_text(json.dumps(record))
     assert judged() == 0 and all(Path("out", name).exists() for name in others)
-
-
-def test_a_candidates_images_are_listed_too():
-    assert files_of(made("a", candidate="mine"))[0] == "a.candidate.exr"
-    assert files_of(made("a", ok=False, problem="crash")) == ()
 
 
 # ---- --html

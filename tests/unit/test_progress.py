@@ -142,7 +142,7 @@ def test_without_a_terminal_work_goes_on_and_nothing_is_drawn(monkeypatch, strea
 
 def sweeping():
     line = StatusLine()
-    line.about("1/22 scale")("m" * 50)
+    line.show(f"1/22 scale: {'m' * 50}")
     return line.erase
 
 

@@ -346,5 +346,5 @@ def test_a_candidate_that_declines_or_raises_is_no_pass(tmp_path, monkeypatch, c
         (["tangency", "--skip-unsupported"], 5, "nothing judged: the candidate declined every family"),
     ):
         assert main(["stress", *selected, *words]) == code
-        assert said in "".join(capsys.readouterr())
+        assert said in " ".join("".join(capsys.readouterr()).split())
         assert json.loads((tmp_path / "run.json").read_text())["ok"] == (code == 0)
