@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caster.jit.decorators import implement, inlined
-from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
 
 __all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register"]
@@ -115,69 +114,27 @@ def _kernel(aov: Aov) -> Any:
 # ---- the AOVs ----
 
 
-def _hit(hit: Hit) -> float:
-    return 1.0
-
-
 def _depth(hit: Hit) -> float:
     """Distance from the eye along the ray, in scene units; also from the eye where a near plane hides a part."""
     return hit.start + hit.t * length(hit.d)
 
 
-def _normal(hit: Hit) -> Vec3:
-    """Geometric normal: unit length, outwards, never turned towards the ray."""
-    return hit.normal
-
-
-def _shading_normal(hit: Hit) -> Vec3:
-    """Shading normal: interpolated between a mesh's vertex normals, elsewhere the geometric one."""
-    return hit.shading_normal
-
-
-def _position(hit: Hit) -> Vec3:
-    """Intersection point in world space."""
-    return hit.position
-
-
-def _uv(hit: Hit) -> tuple[float, float]:
-    """Surface coordinates, as each shape's `surface` defines them."""
-    return hit.uv
-
-
-def _albedo(hit: Hit) -> Vec3:
-    """Diffuse reflectance of the material, in [0, 1]."""
-    return hit.albedo
-
-
-def _diffuse(hit: Hit) -> Vec3:
-    """Lambert shading: reflected radiance of each light, with hard shadows, and of ambient light."""
-    return hit.radiance
-
-
-def _shape_id(hit: Hit) -> int:
-    """Index of the shape in the scene; -1 on a miss."""
-    return hit.shape_id
-
-
-def _prim_id(hit: Hit) -> int:
-    """Index of the primitive within its shape; -1 on a miss."""
-    return hit.prim_id
-
-
-def _xyz(name: str) -> tuple[str, ...]:
-    return f"{name}.X", f"{name}.Y", f"{name}.Z"
+def _field(name: str, parts: str, preview: str, evaluate: Callable[[Any], Any]) -> Aov:
+    """The AOV of a field of the same name, with a channel for each of its parts, and 0 on a miss."""
+    channels = tuple(f"{name}.{part}" for part in parts)
+    return Aov(name, channels, np.float64, 0.0, (name,), preview, evaluate)
 
 
 for each in (
-    Aov("hit", ("A",), np.float64, 0.0, (), "mask", _hit),
+    Aov("hit", ("A",), np.float64, 0.0, (), "mask", lambda hit: 1.0),
     Aov("depth", ("depth.Z",), np.float64, math.inf, (), "depth", _depth),
-    Aov("normal", _xyz("normal"), np.float64, 0.0, ("normal",), "direction", _normal),
-    Aov("shading_normal", _xyz("shading_normal"), np.float64, 0.0, ("shading_normal",), "direction", _shading_normal),
-    Aov("position", _xyz("position"), np.float64, 0.0, ("position",), "position", _position),
-    Aov("uv", ("uv.U", "uv.V"), np.float64, 0.0, ("uv",), "uv", _uv),
-    Aov("albedo", ("albedo.R", "albedo.G", "albedo.B"), np.float64, 0.0, ("albedo",), "reflectance", _albedo),
-    Aov("diffuse", ("R", "G", "B"), np.float64, 0.0, ("radiance",), "radiance", _diffuse),
-    Aov("shape_id", ("id.shape",), np.int32, -1, ("shape_id",), "ids", _shape_id),
-    Aov("prim_id", ("id.prim",), np.int32, -1, ("prim_id",), "ids", _prim_id),
+    _field("normal", "XYZ", "direction", lambda hit: hit.normal),
+    _field("shading_normal", "XYZ", "direction", lambda hit: hit.shading_normal),
+    _field("position", "XYZ", "position", lambda hit: hit.position),
+    _field("uv", "UV", "uv", lambda hit: hit.uv),
+    _field("albedo", "RGB", "reflectance", lambda hit: hit.albedo),
+    Aov("diffuse", ("R", "G", "B"), np.float64, 0.0, ("radiance",), "radiance", lambda hit: hit.radiance),
+    Aov("shape_id", ("id.shape",), np.int32, -1, ("shape_id",), "ids", lambda hit: hit.shape_id),
+    Aov("prim_id", ("id.prim",), np.int32, -1, ("prim_id",), "ids", lambda hit: hit.prim_id),
 ):
     register(each)

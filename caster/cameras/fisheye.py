@@ -11,13 +11,12 @@ from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project,
 from caster.kernels.raster.wide_angle import (
     ANGLE_ROUNDING,
     MAX_HULL_ANGLE,
-    combine_axes,
     film_circle,
     hull_distortion_bound,
     off_film,
+    ray_along,
     sphere_in_camera_space,
     to_circle_units,
-    unit_or_forward,
     unknown_projection,
 )
 
@@ -58,8 +57,7 @@ def _camera_ray(camera: Any, x: float, y: float) -> Any:
     h_square = half * half * (square if inside else 0.0)
     sine, cosine = sinc_and_cos(h_square)
     sideways = 2.0 * half * sine * cosine
-    d = combine_axes(camera, sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine)
-    return camera.eye, unit_or_forward(camera, d, inside), 0.0, math.inf if inside else -1.0
+    return ray_along(camera, (sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine), inside)
 
 
 # Closer to straight backwards, which projects to a whole circle, `project_bounding_sphere` returns no bounds.
@@ -75,7 +73,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     across that, and |R| <= bend reach^2 / 2.
     """
     place, distance, valid = sphere_in_camera_space(camera, center, r)
-    aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    aside = hypotenuse(place[0], place[1])
     angle, reach = arctangent(aside, place[2]), arcsine(r / distance if valid else 0.0)
     if valid and angle - reach > camera.half_angle + ANGLE_ERROR:
         return off_film(distance - r)
@@ -114,7 +112,7 @@ def curvature_bound(angle: float) -> float:
 @implement(project, FisheyeRays)
 def _project(camera: Any, p: Any) -> Any:
     place, distance, valid = sphere_in_camera_space(camera, p, 0.0)
-    aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    aside = hypotenuse(place[0], place[1])
     angle = arctangent(aside, place[2])
     if not valid or angle > MAX_PROJECTED_ANGLE:
         return 0.0, 0.0, 0.0, distance, False

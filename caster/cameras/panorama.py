@@ -9,10 +9,9 @@ from caster.kernels.math.angles import arcsine, arctangent, sinc_and_cos
 from caster.kernels.math.vec import hypotenuse
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
 from caster.kernels.raster.wide_angle import (
-    combine_axes,
     hull_distortion_bound,
+    ray_along,
     sphere_in_camera_space,
-    unit_or_forward,
     unknown_projection,
 )
 
@@ -51,8 +50,7 @@ def _camera_ray(camera: Any, x: float, y: float) -> Any:
     sine, cosine = sinc_and_cos(half * half)
     rise, level = sinc_and_cos(latitude * latitude)
     east, ahead = 2.0 * half * sine * cosine, 1.0 - 2.0 * half * half * sine * sine
-    d = combine_axes(camera, level * east, latitude * rise, level * ahead)
-    return camera.eye, unit_or_forward(camera, d, True), 0.0, math.inf
+    return ray_along(camera, (level * east, latitude * rise, level * ahead), True)
 
 
 @implement(project_bounding_sphere, PanoramaRays)
@@ -61,7 +59,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
         return unknown_projection(distance - r)
-    level = math.sqrt(place[0] * place[0] + place[2] * place[2])
+    level = hypotenuse(place[0], place[2])
     latitude, reach = arctangent(place[1], level), arcsine(r / distance)
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
     top, bottom = high * (0.5 * math.pi - latitude - reach), high * (0.5 * math.pi - latitude + reach)

@@ -5,15 +5,15 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.description.fields import Camera
 from caster.jit.decorators import implement
+from caster.kernels.math.vec import hypotenuse
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
 from caster.kernels.raster.wide_angle import (
-    combine_axes,
     film_circle,
     hull_distortion_bound,
     off_film,
+    ray_along,
     sphere_in_camera_space,
     to_circle_units,
-    unit_or_forward,
     unknown_projection,
 )
 
@@ -48,9 +48,7 @@ class Parabolic(Camera):
 def _camera_ray(camera: Any, x: float, y: float) -> Any:
     across, above = to_circle_units(camera.circle, x, y)
     square = across * across + above * above
-    inside = square <= 1.0
-    d = combine_axes(camera, 2.0 * across, 2.0 * above, 1.0 - square)
-    return camera.eye, unit_or_forward(camera, d, inside), 0.0, math.inf if inside else -1.0
+    return ray_along(camera, (2.0 * across, 2.0 * above, 1.0 - square), square <= 1.0)
 
 
 @implement(project_bounding_sphere, ParabolicRays)
@@ -66,7 +64,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     if place[2] < -r:  # entirely behind the eye
         return off_film(distance - r)
     # its centre is at most 90 + 28 degrees from the axis, so divisors are bounded away from 0
-    aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    aside = hypotenuse(place[0], place[1])
     share = r / distance
     middle, wide = aside / (distance + place[2]), share / (1.0 + math.sqrt(1.0 - share * share))
     inner, outer = (middle - wide) / (1.0 + middle * wide), (middle + wide) / (1.0 - middle * wide)

@@ -39,7 +39,8 @@ class Kind:
 
     @cached_property
     def bounded(self) -> bool:
-        return is_bounded(self.prims)
+        """Whether the primitives have bounding boxes; all of a kind do, or none."""
+        return bool(hull_size(self.prims) > 0)
 
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
@@ -89,7 +90,7 @@ class Packed:
     @cached_property
     def shape_extents(self) -> np.ndarray:
         """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 if it is unbounded."""
-        return np.array([largest_coordinate(part) if is_bounded(part) else 0.0 for part in self.parts])
+        return np.array([largest_coordinate(part) for part in self.parts])
 
     def place_of(self, prim: int) -> tuple[Kind, int]:
         """The kind of a primitive, and its index within the kind."""
@@ -129,9 +130,7 @@ CACHED_AS: dict[Rounding, str] = {as_given: "packed", as_float32: "packed float3
 
 def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     """The packing of a scene, cached with it and so with its bounding boxes and BVHs; see `pack`."""
-    key = CACHED_AS.get(rounded)
-    if key is None:
-        return pack(scene, rounded)
+    key = CACHED_AS[rounded]
     if key not in scene.derived:
         scene.derived[key] = pack(scene, rounded)
     found: Packed = scene.derived[key]
@@ -167,20 +166,15 @@ def _check_lengths(part: Triangles, shape: str) -> None:
             raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
 
 
-def is_bounded(prims: Any) -> bool:
-    """Whether primitives have bounding boxes; all of a kind do, or none."""
-    return bool(hull_size(prims) > 0)
-
-
 def largest_coordinate(prims: Any) -> float:
-    """The largest |coordinate| of the bounding boxes of primitives; 0 without primitives."""
+    """The largest |coordinate| of the bounding boxes of primitives; 0 without primitives or bounds."""
     if isinstance(prims, Triangles):  # from vertices: boxes of millions of triangles take seconds and hundreds of MB
         used = np.zeros(len(prims.vertices), bool)
         used[prims.faces] = True
         points = prims.vertices if used.all() else prims.vertices[used]
     else:
         points = hulls_of(concatenate_parts([prims]), primitive_count(prims)).points
-    return float(max(-points.min(initial=0.0), points.max(initial=0.0)))
+    return float(max(points.max(initial=0.0), -points.min(initial=0.0)))
 
 
 def primitive_count(part: Any) -> int:

@@ -105,9 +105,10 @@ def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> A
     return ZERO, ZERO, ZERO, 0.0, 0.0
 
 
-@generic_inlined
+@optional(generic_inlined)
 def hull_size(prims: Any) -> Any:
-    """The number of hull points of each primitive; 0 for a kind without bounds."""
+    """The number of hull points of each primitive, by default the corners of a box; 0 for a kind without bounds."""
+    return 8
 
 
 @generic_inlined

@@ -139,9 +139,10 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_
     given, plain = validated_rays_with_range(o, d, t_min, t_max)
     arrays = packed(scene)
     if plain:
-        nearest = find_nearest(arrays, given)
-        return Hits(scene, arrays, given, nearest, np.zeros(len(nearest.t)), t=nearest.t)
-    rays, nearest, t = cast_any_lengths(arrays, given)
+        rays, nearest = given, find_nearest(arrays, given)
+        t = nearest.t
+    else:
+        rays, nearest, t = cast_any_lengths(arrays, given)
     return Hits(scene, arrays, rays, nearest, np.zeros(len(t)), t=t)
 
 

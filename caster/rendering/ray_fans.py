@@ -4,6 +4,7 @@ Whether that is faster is estimated from a sample of the rays. The hits have the
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import HEIGHT, PIXELS, WIDTH, tile_boxes
 from caster.kernels.surface.lighting import PointLight
 from caster.rendering.bvh_construction import uses_bvh, vec3
-from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, filled_up
+from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, numbers_between
 
 __all__ = ["find_rows"]
 
@@ -89,8 +90,7 @@ def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> Iterator[RayTi
     if count < MIN_RAYS_IN_ROWS or not any(uses_bvh(kind) for kind in packed.kinds):
         return None
     origin = common_origin(rays)
-    rows = find_rows(rays) if origin is not None else None
-    if origin is None or rows is None:
+    if origin is None or (rows := find_rows(rays)) is None:
         return None
     few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
     caster = TileCaster(packed, any_hit=False, light=PointLight(vec3(origin), NO_INTENSITY), rays=few)
@@ -130,4 +130,4 @@ def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> Iterator[Ra
     yield RayTiles(caster, list(tile_boxes(width, height)), numbers_in_box)
     ends = [(0, first), (first + width * height, count)]
     rest = [(i, min(i + PIXELS, stop)) for start, stop in ends for i in range(start, stop, PIXELS)]
-    yield RayTiles(caster, rest, lambda piece: filled_up(np.arange(*piece, dtype=np.int32), WIDTH))
+    yield RayTiles(caster, rest, partial(numbers_between, WIDTH))

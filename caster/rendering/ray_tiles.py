@@ -4,7 +4,7 @@ import itertools
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -206,29 +206,13 @@ def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> Itera
     workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
     tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
 
-    def numbers(piece: Piece) -> np.ndarray:
-        return filled_up(np.arange(*piece, dtype=np.int32), LANES)
-
-    yield RayTiles(caster, even_pieces(0, count, tiles), numbers)
+    yield RayTiles(caster, even_pieces(0, count, tiles), partial(numbers_between, LANES))
 
 
-def filled_up(numbers: np.ndarray, multiple: int) -> np.ndarray:
-    """Append -1 up to a multiple of this length."""
-    return np.append(numbers, np.full(-len(numbers) % multiple, -1, np.int32))
-
-
-def new_ray_groups() -> RayGroups:
-    """Room for the rays of a tile."""
-    return RayGroups(
-        np.zeros(BLOCKS * BOX_SIZE),
-        np.zeros(GROUPS * BOX_SIZE),
-        np.zeros(PIXELS // LANES, np.int64),
-        np.zeros(2, np.int64),
-        np.zeros(CHILDREN * ROWS, np.int64),
-        np.zeros(STACK_SIZE, np.int32),
-        np.zeros(STACK_SIZE),
-        np.zeros(PIXELS // LANES),
-    )
+def numbers_between(multiple: int, ends: Piece) -> np.ndarray:
+    """The numbers from the first to the second end, with -1 appended up to a multiple of this length."""
+    first, stop = ends
+    return np.append(np.arange(first, stop, dtype=np.int32), np.full((first - stop) % multiple, -1, np.int32))
 
 
 @dataclass(frozen=True)
@@ -251,7 +235,16 @@ class TileWorkspace:
 
     @cached_property
     def ray_groups(self) -> RayGroups:
-        return new_ray_groups()
+        return RayGroups(
+            np.zeros(BLOCKS * BOX_SIZE),
+            np.zeros(GROUPS * BOX_SIZE),
+            np.zeros(PIXELS // LANES, np.int64),
+            np.zeros(2, np.int64),
+            np.zeros(CHILDREN * ROWS, np.int64),
+            np.zeros(STACK_SIZE, np.int32),
+            np.zeros(STACK_SIZE),
+            np.zeros(PIXELS // LANES),
+        )
 
 
 def _unwritten(size: int) -> np.ndarray:

@@ -98,9 +98,7 @@ class TileShader:
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
         self._lights: list[tuple[Any, TileCaster | None]] = []  # and the casters of their shadow rays
         for light in (each.pack() for each in lights if each.type != "ambient"):
-            caster = None
-            if plan.shadows.runs:
-                caster = TileCaster(packed, any_hit=True, light=light, rays=pixels)
+            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if plan.shadows.runs else None
             self._lights.append((light, caster))
         self._ambient = np.array([light.radiance for light in lights if light.type == "ambient"]).reshape(-1, 3)
 
@@ -183,9 +181,7 @@ def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
 def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
     if not packed.kinds or not needs & {"shape_id", "prim_id"}:
         return NO_IDS
-    shapes = packed.prim_shapes
-    numbers = packed.index_in_shape(packed.prim_ids)
-    return PrimitiveIds(shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim)
+    return PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
 
 
 def distinct_materials(scene: Scene) -> tuple[list[Material], np.ndarray]:

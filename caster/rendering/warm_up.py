@@ -20,7 +20,7 @@ from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
-from caster.rendering.ray_tiles import TileCaster, new_ray_groups
+from caster.rendering.ray_tiles import TileCaster, TileWorkspace
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Diffuse, Directional, Point, Scene
 from caster.scene.textures import Checkerboard
@@ -49,10 +49,11 @@ class WarmUpCounts(NamedTuple):
 
 def warm_up(scenes: Iterable[Scene]) -> WarmUpCounts:
     """Compile or load all kernels that the scenes may need."""
-    before = WarmUpCounts(len(COMPILATION_LOG.compiled), len(COMPILATION_LOG.loaded))
+    log = COMPILATION_LOG
+    compiled, loaded = len(log.compiled), len(log.loaded)
     for scene in scenes:
         _warm_one(scene)
-    return WarmUpCounts(len(COMPILATION_LOG.compiled) - before.compiled, len(COMPILATION_LOG.loaded) - before.loaded)
+    return WarmUpCounts(len(log.compiled) - compiled, len(log.loaded) - loaded)
 
 
 def _warm_one(scene: Scene) -> None:
@@ -125,7 +126,7 @@ def _warm_rays(packed: Packed) -> None:
     find_any(packed, rays, threads=1)
     load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile)
     caster = TileCaster(packed, any_hit=True, light=LAMPS[0].pack(), rays=MAX_PRIMITIVES)
-    caster.begin(tile, new_ray_groups())(WIDTH)
+    caster.begin(tile, TileWorkspace().ray_groups)(WIDTH)
     for kind in packed.kinds:
         cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
 

@@ -49,7 +49,6 @@ from caster.kernels.protocol import (
     fast_surface,
     fast_uv,
     hull_point,
-    hull_size,
     intersect,
     load,
     prepare,
@@ -169,8 +168,7 @@ def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, fl
 
 @implement(exact_intersect, Cylinders)
 def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
-    f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
-    return exact_unit_cylinder(f, e, h, unit, t_min, t_max)
+    return exact_unit_cylinder(*ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d), t_min, t_max)
 
 
 @implement(surface, Cylinders)
@@ -202,11 +200,6 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) ->
 @implement(fast_uv, Cylinders)
 def _fast_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
     return turn_fraction(q[1], q[0]), q[2]
-
-
-@implement(hull_size, Cylinders)
-def _hull_size(prims: Any) -> int:
-    return 8
 
 
 @implement(hull_point, Cylinders)

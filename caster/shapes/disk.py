@@ -17,6 +17,7 @@ from caster.kernels.math.vec import (
     all_products_zero,
     certain_in_range,
     filter_result,
+    hypotenuse,
     l1_norm,
     mat_vec,
     matrix_rows,
@@ -129,7 +130,7 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) ->
 @implement(fast_uv, Disks)
 def _fast_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
     """u is the distance from the centre, v the angle as a fraction of a turn."""
-    return math.sqrt(q[0] * q[0] + q[1] * q[1]), turn_fraction(q[1], q[0])
+    return hypotenuse(q[0], q[1]), turn_fraction(q[1], q[0])
 
 
 @implement(hull_size, Disks)

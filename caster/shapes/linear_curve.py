@@ -237,7 +237,7 @@ def _height_error(pre: Any, reach: float, off: float) -> float:
 
 @implement(exact_intersect, RoundSegments)
 def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
-    start, end, r0, r1 = row(prims.start, k), row(prims.end, k), prims.radius[k, 0], prims.radius[k, 1]
+    start, end, r0, r1 = load(prims, k)
     unit, step = lowest_exponent(o + start + end + (r0, r1)), lowest_exponent(d)
     a, along, r = integers(start, unit), integers(d, step), integer(r0, unit)
     p, f = minus3(integers(end, unit), a), minus3(integers(o, unit), a)
@@ -272,7 +272,7 @@ def entering_root(a: Integer, b: Integer, c: Integer, e: int) -> Root:
 @implement(surface, RoundSegments)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """u is 0, v the height between the circles from 0 to 1."""
-    start, end, r0, r1 = row(prims.start, k), row(prims.end, k), prims.radius[k, 0], prims.radius[k, 1]
+    start, end, r0, r1 = load(prims, k)
     p, dr = sub(end, start), r1 - r0
     h = point_at(sub(o, start), t, d)
     g = dot(p, p) - dr * dr

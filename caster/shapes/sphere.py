@@ -57,7 +57,6 @@ from caster.kernels.protocol import (
     fast_surface,
     fast_uv,
     hull_point,
-    hull_size,
     intersect,
     load,
     prepare,
@@ -79,6 +78,7 @@ from caster.kernels.raster.tile import (
     lane,
     put_affine_lanes,
     put_lane,
+    put_matrix,
 )
 
 __all__ = ["EllipsoidCloud", "Ellipsoids", "OuterEllipsoids", "Sphere", "SphereCloud", "Spheres"]
@@ -221,7 +221,8 @@ def spherical_uv(q: Any) -> tuple[float, float]:
 
 
 @implement(load, Spheres)
-def _load(prims: Any, k: int) -> Any:
+@implement(tight_sphere, Spheres)
+def _center_and_radius(prims: Any, k: int) -> Any:
     return row(prims.center, k), prims.radius[k]
 
 
@@ -249,7 +250,7 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
 
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
-    center, r = row(prims.center, k), prims.radius[k]
+    center, r = load(prims, k)
     n = outward_normal(sub(o, center), d, t, r)
     u, v = spherical_uv(mat_vec(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
     return point_at(center, r, n), n, n, u, v
@@ -261,16 +262,12 @@ LANE_TURN = LANE_RADIUS + NEXT
 
 @implement(surface_setup, Spheres)
 def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    center, r = row(prims.center, k), prims.radius[k]
+    center, r = load(prims, k)
     for x in range(start, stop):
         put_lane(scratch, LANE_CENTER + x, center)
         scratch[LANE_RADIUS + x] = r
     if wants == SURFACES_WITH_UV:
-        a, b, c = matrix_rows(prims.turn, k)
-        for x in range(start, stop):
-            put_lane(scratch, LANE_TURN + x, a)
-            put_lane(scratch, LANE_TURN + lane(3) * NEXT + x, b)
-            put_lane(scratch, LANE_TURN + lane(6) * NEXT + x, c)
+        put_matrix(scratch, LANE_TURN, prims.turn, k, start, stop)
 
 
 @implement(fast_surface, Spheres)
@@ -285,19 +282,9 @@ def _fast_uv(prims: Any, scratch: Any, x: Any, n: Any) -> Any:
     return spherical_uv(rows_times_vec(get_matrix(scratch, LANE_TURN + x), n))
 
 
-@implement(hull_size, Spheres, Ellipsoids, OuterEllipsoids)
-def _hull_size(prims: Any) -> int:
-    return 8
-
-
 @implement(hull_point, Spheres)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
     return point_at(row(prims.center, k), prims.radius[k], cube_corner(j))
-
-
-@implement(tight_sphere, Spheres)
-def _tight_sphere(prims: Any, k: int) -> Any:
-    return row(prims.center, k), prims.radius[k]
 
 
 @implement(load, Ellipsoids, OuterEllipsoids)
@@ -335,14 +322,13 @@ def _surely_misses_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
 
 @implement(exact_intersect, Ellipsoids)
 def _exact_intersect_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
-    f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
-    return exact_unit_sphere(f, e, h, unit, t_min, t_max)
+    return exact_unit_sphere(*ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d), t_min, t_max)
 
 
 @implement(exact_intersect, OuterEllipsoids)
 def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
-    f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
-    return root_in_range(exact_quadric_roots(f, e, h, unit)[0], t_min, t_max)
+    roots = exact_quadric_roots(*ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d))
+    return root_in_range(roots[0], t_min, t_max)
 
 
 @implement(surface, Ellipsoids, OuterEllipsoids)

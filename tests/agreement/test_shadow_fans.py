@@ -13,7 +13,7 @@ from caster.kernels.protocol import hull_point, hull_size
 from caster.kernels.raster.tile import PIXELS, WIDTH, T, lane, load_rays, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.casting import find_nearest
-from caster.rendering.ray_tiles import TileCaster, new_ray_groups
+from caster.rendering.ray_tiles import TileCaster, TileWorkspace
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
 
@@ -68,7 +68,7 @@ def tile_of(rays):
 def shadowed(caster, arrays, rays):
     """(n,) bool, by fans; uncertain ones exactly."""
     tile = tile_of(rays)
-    caster.begin(tile, new_ray_groups())(COUNT)
+    caster.begin(tile, TileWorkspace().ray_groups)(COUNT)
     decide_shadows(arrays, tile, COUNT)
     field = int(lane(T))
     return tile[field : field + COUNT] < np.inf
@@ -127,6 +127,6 @@ def test_rays_of_any_direction_are_taken_by_some_fan(place):
     rng = np.random.default_rng(92)
     arrays, light = cubes(rng), PointLight(place, WHITE)
     caster, rays = TileCaster(arrays, any_hit=True, light=light, rays=COUNT), shadow_rays(light, arrays, rng, 1.0)
-    groups = new_ray_groups()
+    groups = TileWorkspace().ray_groups
     caster.begin(tile_of(rays), groups)(COUNT)
     assert groups.taken[: COUNT // LANES].mean() > 0.8

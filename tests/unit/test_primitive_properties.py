@@ -105,8 +105,8 @@ def test_a_point_beyond_an_edge_is_in_no_triangle_with_corners_within_the_bound(
     for _ in range(1500):
         wide = 10.0 ** rng.uniform(-3.0, 0.5)
         corners, point = rng.uniform(-10.0, 10.0, (3, 2)), rng.uniform(-11.0, 11.0, 2)
-        a, b, c = ((*corner, wide, 1.0, True) for corner in corners)
-        assert not beyond_edge((*a[:2], math.inf, 1.0, False), b, c, math.inf, *point)
+        a, b, c = ((*corner, wide, 1.0) for corner in corners)
+        assert not beyond_edge(a, b, c, math.inf, *point)
         if beyond_edge(a, b, c, wide, *point):
             found += 1
             for _ in range(8):

@@ -21,7 +21,7 @@ from caster.description.errors import FileMissing, SceneError, field_error, form
 from caster.description.input_files import MAX_MESH_BYTES, read_input
 from caster.description.transform import compose, is_mirrored, rotations, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj
-from caster.geometry.mesh_files.ply import POSITION, parse_off, parse_ply, parse_ply_vertices
+from caster.geometry.mesh_files.ply import parse_off, parse_ply, parse_ply_spheres
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
 __all__ = ["MeshFolders", "load_points"]
@@ -57,9 +57,7 @@ def load_points(path: str | PathLike[str]) -> tuple[Any, Any]:
 
     Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
     """
-    data = read_input(str(path), "file of points", MAX_MESH_BYTES)
-    rows = parse_ply_vertices(data, str(path), POSITION, "radius")
-    return rows[:, :3], rows[:, 3] if rows.shape[1] > 3 else None
+    return parse_ply_spheres(read_input(str(path), "file of points", MAX_MESH_BYTES), str(path))
 
 
 Loaded = TypeVar("Loaded")

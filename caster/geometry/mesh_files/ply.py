@@ -235,7 +235,7 @@ def _layout(properties: list[Property], sizes: list[int]) -> np.dtype[Any]:
     return np.dtype(fields)
 
 
-# ---- the elements as a mesh or vertices ----
+# ---- the elements as a mesh or spheres ----
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -260,21 +260,21 @@ def _mesh_of(tables: dict[str, Table], where: str) -> Mesh:
     return Mesh(vertices, _faces(tables["face"], len(vertices)), normals, _finite(vertex, names) if names else None)
 
 
-def parse_ply_vertices(data: bytes, where: str, names: tuple[str, ...], length: str = "") -> Floats:
-    """Bytes of a PLY file -> finite properties of its vertices, (n, len(names)). Raises SceneError with `where`.
+def parse_ply_spheres(data: bytes, where: str) -> tuple[Floats, Floats | None]:
+    """Bytes of a PLY file -> its vertices (n, 3), and their property radius (n,) if they have it.
 
-    length: a property > 0, a further column if the file has it. Other elements and properties are ignored.
+    Other elements and properties are ignored. Raises SceneError with `where`.
     """
     vertex = _read_tables(data, where).get("vertex", Table(where, {}))
-    rows = _finite(vertex, names)
-    if not len(rows):
+    centers = _finite(vertex, POSITION)
+    if not len(centers):
         raise SceneError(f"{where}: expected at least one row of an element 'vertex', got none")
-    if length not in vertex.columns:
-        return rows
-    lengths = _floats(vertex, (length,))
-    good = (np.isfinite(lengths) & (lengths > 0.0))[:, 0]
-    _check_rows(vertex, lengths, good, f"{length} of vertex {{}} must be a length > 0")
-    return np.hstack([rows, lengths])
+    if "radius" not in vertex.columns:
+        return centers, None
+    radii = _floats(vertex, ("radius",))
+    good = (np.isfinite(radii) & (radii > 0.0))[:, 0]
+    _check_rows(vertex, radii, good, "radius of vertex {} must be a length > 0")
+    return centers, radii[:, 0]
 
 
 def _floats(table: Table, names: tuple[str, ...]) -> Floats:

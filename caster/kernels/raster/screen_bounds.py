@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import inlined, jit
-from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, l1_norm, point_at, row, sub
+from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, hypotenuse, l1_norm, point_at, row, sub
 from caster.kernels.protocol import Vec3, distortion_bound, project, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.tile import Box
 
@@ -126,7 +126,7 @@ def bound_sphere(
 def project_vertices(points: Any, camera: Any, window: Any, projected: Any, reach: Any, start: int, stop: int) -> None:
     """projected (n, 4): points start..stop, which several hulls may share."""
     for i in range(start, stop):
-        x, y, pixels, depth, valid = project(camera, (points[i, 0], points[i, 1], points[i, 2]))
+        x, y, pixels, depth, valid = project(camera, row(points, i))
         projected[i, 0], projected[i, 1] = x - window.x0, y - window.y0
         projected[i, 2], projected[i, 3] = reach[1] + reach[0] * pixels if valid else math.inf, depth
 
@@ -192,7 +192,7 @@ def bound_hulls(
         box, deepest = projected_hull(bounds, corners, k)
         left, top, right, bottom, least = box
         wide, high = right - left, bottom - top
-        more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
+        more, share, valid = distortion_bound(camera, hypotenuse(wide, high))
         if not valid or more > wide + high:
             center, r = bounding_sphere(points, corners, k)
             bound_sphere(camera, window, bounds, reach, k, center, r, math.inf)

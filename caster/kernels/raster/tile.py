@@ -266,15 +266,20 @@ LANE_CENTER, LANE_TO_OBJECT, LANE_TO_WORLD, LANE_MORE = (
 @inlined
 def put_affine_lanes(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
     """`surface_setup` for images of a unit shape: the centre and both matrices of primitive k."""
-    center = prims.center[k, 0], prims.center[k, 1], prims.center[k, 2]
+    center = row(prims.center, k)
     for x in range(start, stop):
         put_lane(scratch, LANE_CENTER + x, center)
+    put_matrix(scratch, LANE_TO_OBJECT, prims.to_object, k, start, stop)
+    put_matrix(scratch, LANE_TO_WORLD, prims.to_world, k, start, stop)
+
+
+@inlined
+def put_matrix(scratch: Any, at: Any, m: Any, k: int, start: Any, stop: Any) -> None:
+    """Write the rows of the matrix m[k] to lanes start..stop."""
     for i in range(3):
-        a = prims.to_object[k, i, 0], prims.to_object[k, i, 1], prims.to_object[k, i, 2]
-        b = prims.to_world[k, i, 0], prims.to_world[k, i, 1], prims.to_world[k, i, 2]
+        v = m[k, i, 0], m[k, i, 1], m[k, i, 2]
         for x in range(start, stop):
-            put_lane(scratch, LANE_TO_OBJECT + lane(3 * i) * NEXT + x, a)
-            put_lane(scratch, LANE_TO_WORLD + lane(3 * i) * NEXT + x, b)
+            put_lane(scratch, at + lane(3 * i) * NEXT + x, v)
 
 
 @inlined

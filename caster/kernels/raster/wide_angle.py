@@ -21,18 +21,16 @@ def to_circle_units(circle: Any, x: float, y: float) -> tuple[float, float]:
     return (x - circle[0]) / circle[2], (circle[1] - y) / circle[2]
 
 
-@jit
-def combine_axes(camera: Any, right: float, up: float, forward: float) -> Vec3:
-    """right, up and forward shares of the camera's axes, added."""
-    sideways = add(scaled(right, camera.right), scaled(up, camera.up))
-    return add(sideways, scaled(forward, camera.forward))
-
-
 @inlined
-def unit_or_forward(camera: Any, d: Vec3, inside: bool) -> Vec3:
-    """d at length 1, or, outside the image, forward. d is neither long nor short, nor 0 inside."""
-    inverse = 1.0 / math.sqrt(dot(d, d))
-    return select(inside, scaled(inverse, d), camera.forward)
+def ray_along(camera: Any, shares: Vec3, inside: bool) -> Any:
+    """`camera_ray` in the direction of shares of right, up and forward, which is neither long nor short, nor 0 inside.
+
+    Outside the image there is none.
+    """
+    sideways = add(scaled(shares[0], camera.right), scaled(shares[1], camera.up))
+    d = add(sideways, scaled(shares[2], camera.forward))
+    unit = select(inside, scaled(1.0 / math.sqrt(dot(d, d)), d), camera.forward)
+    return camera.eye, unit, 0.0, math.inf if inside else -1.0
 
 
 # Between these, squares of lengths are numbers that have lost nothing.
