@@ -24,18 +24,17 @@ class Bounds(NamedTuple):
 
 
 def intersections_at(
-    model: SceneModel, prim: Array, line: tuple[Array, Array], t: Array, ku: float, *, ours: bool
+    model: SceneModel, prim: Array, o: Array, d: Array, t: Array, ku: float, *, ours: bool
 ) -> Intersections:
     """The intersection of ray i with prim[i], -1 for a miss, nearest to t[i], with the error bounds of one arithmetic.
 
-    line: o, d (n, 3). ku, ours: as in SceneModel.intersect.
+    o, d: (n, 3). ku, ours: as in SceneModel.intersect.
     """
     out = no_intersections(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), PIXELS_PER_BATCH):
         rows = hits[start : start + PIXELS_PER_BATCH]
-        o, d = (ends[rows] for ends in line)
-        found = nearest_root(model.intersect(prim[rows], o, d, ku, ours=ours), t[rows])
+        found = nearest_root(model.intersect(prim[rows], o[rows], d[rows], ku, ours=ours), t[rows])
         for everywhere, here in zip(out, found, strict=True):
             everywhere[rows] = here
     return out
@@ -102,8 +101,8 @@ def t_bounds(model: SceneModel, hits: tuple[Array, Array], rays: tuple[Array, Ar
     """
     (t, prim), (o, d) = hits, rays
     exponent = np.frexp(np.abs(d).max(axis=1, initial=0.0))[1]  # so that no square of a direction overflows
-    line = o, np.ldexp(d, -exponent[:, None])
-    errors = intersections_at(model, prim, line, np.ldexp(t, exponent), KU_OURS, ours=True).t_error
+    d = np.ldexp(d, -exponent[:, None])
+    errors = intersections_at(model, prim, o, d, np.ldexp(t, exponent), KU_OURS, ours=True).t_error
     errors = np.where(np.isnan(errors), np.inf, np.ldexp(errors, -exponent))
     bounds = errors + T_ROUNDING_ULPS * np.spacing(np.abs(t)) + UNDERFLOW_BOUND
     return np.where(prim < 0, np.nan, bounds)

@@ -95,23 +95,21 @@ class Bracket:
         for ray, prim in near:
             yield self._intersect_in_range(ray, prim, line)
 
-    def blocked(
-        self, o: Array, d: Array, t_max: Array, leaving: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array]:
-        """(possibly, certainly) whether anything lies on the rays o + t d, 0 < t < t_max; (n,) bool each.
+    def blocked(self, line: Rays, leaving: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
+        """(possibly, certainly) whether anything lies on the rays; (n,) bool each.
 
         leaving: (n,) the primitive a ray starts on, and (n,) how far the start may be off its surface. The intersection
         at the start does not count, and anything else that near, such as the next face at an edge, is never certain.
         """
-        prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
-        line = Rays(o, d, np.zeros(len(o)), t_max)
-        possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
+        count = len(line.o)
+        prim, off = leaving if leaving else (np.full(count, -1), np.zeros(count))
+        possible, certain = np.zeros((2, count), bool)
         for found in self._batches(line):
-            near = near_ray_start(found, d, off)
+            near = near_ray_start(found, line.d, off)
             kept = ~(near & (found.prim == prim[found.ray]))
             found, near = found.take(kept), near[kept]
             possible[found.ray] = True
-            certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
+            certain[found.ray[np.isfinite(latest_hits(found, line.t_max, line.t_min)) & ~near]] = True
         return possible, certain
 
     def possible_hits(self, o: Array, d: Array, t_max: Array, t_min: float | Array = 0.0) -> RayIntersections:

@@ -193,6 +193,17 @@ def row_groups(keys: Array) -> Array:
     return group
 
 
+def perpendicular(n: Array) -> Array:
+    """(m, 3) a vector at right angles to each row, of at least 0.8 times its length."""
+    return np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
+
+
+def triangle_heights(corners: Array) -> Array:
+    """(m,) smallest heights of triangles with corners (m, 3, 3)."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    return norm(cross(edges[:, 0], edges[:, 1])) / norm(edges.reshape(-1, 3)).reshape(-1, 3).max(axis=1)
+
+
 def mat_vec_rows(m: Array, v: Array) -> Array:
     """m[i] v[i] for each row."""
     return np.einsum("ijk,ik->ij", m, v)

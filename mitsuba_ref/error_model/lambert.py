@@ -14,6 +14,7 @@ from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import (
     Array,
     Intersections,
+    Rays,
     dot,
     largest_of_columns,
     norm,
@@ -45,9 +46,8 @@ class ShadingPoints(NamedTuple):
 class LightContribution(NamedTuple):
     """Radiance from one light at m pixels, without shadows."""
 
-    radiance: Array  # (m, 3)
+    radiance: Array  # (m, 3); where either face may be lit, that of the one that faces the ray
     error: Array  # (m, 3)
-    either_side: Array  # (m, 3) radiance if the lit side faces the ray
     to_light: Array  # (m, 3) from p; of unit length for a directional light
     reach: Array  # (m,) distance of the light in lengths of to_light: 1 or inf
     doubtful: Array  # (m,) bool: so near grazing that either face may be the visible one
@@ -64,6 +64,7 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
     cosine = dot(to_light, hit.at.sh_n) / distance
     facing = -dot(hit.d, hit.at.sh_n) / norm(hit.d)
     seen = np.where(two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
+    doubtful = np.abs(facing) <= hit.at.sh_error + ku
     cosine = np.abs(cosine)
     flux = _flux(light, distance) * reflectance / np.pi
     spread = 1.0 / np.maximum(1.0 - turn, 0.0) ** 2  # of 1 / distance^2, when p moves by its error
@@ -71,11 +72,9 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
     most = flux * (spread * (cosine + cosine_error))[:, None]
     radiance = np.where(seen[:, None], flux * cosine[:, None], 0.0)
     error = np.where(seen[:, None], most - radiance, flux * (cosine_error * spread)[:, None]) + ku * radiance
-    dark = ~seen & (cosine > cosine_error) & (np.abs(facing) > hit.at.sh_error + ku)
-    error[dark] = 0.0
-    return LightContribution(
-        radiance, error, flux * cosine[:, None], to_light, reach, np.abs(facing) <= hit.at.sh_error + ku
-    )
+    error[~seen & (cosine > cosine_error) & ~doubtful] = 0.0
+    radiance = np.where(doubtful[:, None], flux * cosine[:, None], radiance)
+    return LightContribution(radiance, error, to_light, reach, doubtful)
 
 
 def reflectance_at(materials: Materials, hit: ShadingPoints) -> Array:
@@ -121,11 +120,6 @@ class LightChoices(NamedTuple):
     doubt: Array  # (lights, m) bool
 
 
-def certain_lights(value: Array, error: Array) -> LightChoices:
-    """LightChoices (lights, m, 3) without doubt."""
-    return LightChoices(value, error, value, error, np.zeros(value.shape[:2], bool))
-
-
 def smallest_error_ratio(ours: Array, fixed: Array, choices: LightChoices, ku: float) -> Array:
     """(m,) smallest ratio of error to bound, over all choices of lights, of ours (m, 3) against fixed plus lights."""
     sorted_ = _uncertain_lights_first(choices) if choices.doubt.any() else choices
@@ -168,37 +162,20 @@ RAY_EPSILON = 1500 * U32
 SHADOW_EPSILON = 10 * RAY_EPSILON
 
 
-class ShadowRays(NamedTuple):
-    """Shadow rays o + t d, 0 < t < t_max."""
-
-    o: Array  # (m, 3)
-    d: Array  # (m, 3)
-    t_max: Array  # (m,)
-
-
-def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: Array, n: Array) -> ShadowRays:
+def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: Array, n: Array) -> Rays:
     """Mitsuba's shadow rays: from its p (m, 3), moved along its n (m, 3) to the lit side, to just before the light."""
     near = np.isfinite(lit.reach)
     way = np.where(near[:, None], hit.p + lit.to_light - p, lit.to_light)
     offset = (1.0 + largest_of_columns(np.abs(p))) * RAY_EPSILON
     o = p + (np.copysign(offset, dot(n, way)))[:, None] * n
     d = np.where(near[:, None], p + way - o, way)
-    return ShadowRays(o, d, np.where(near, 1.0 - SHADOW_EPSILON, np.inf))
+    return Rays(o, d, np.zeros(len(o)), np.where(near, 1.0 - SHADOW_EPSILON, np.inf))
 
 
-def reference_visibility(
-    bracket: Bracket, hit: ShadingPoints, lit: LightContribution, p: Array, n: Array
-) -> tuple[Array, Array]:
-    """(may be lit, may be in shadow), (m,) bool each. p, n: Mitsuba's positions and normals, which are checked too."""
-    possible, certain = bracket.blocked(*reference_shadow_rays(hit, lit, p, n))
-    return ~certain, possible
-
-
-def our_visibility(bracket: Bracket, hit: ShadingPoints, lit: LightContribution, prim: Array) -> tuple[Array, Array]:
-    """(may be lit, may be in shadow) for ours, from the hit point; prim (m,) does not shadow itself at the ray's start.
+def our_shadows(bracket: Bracket, hit: ShadingPoints, lit: LightContribution, prim: Array) -> tuple[Array, Array]:
+    """(possibly, certainly) in shadow for ours, from the hit; prim (m,) does not shadow itself at the ray's start.
 
     Rounding of o + t d may move the hit point off the surface.
     """
     off = KU_OURS * (norm(hit.p) + norm(hit.d) * np.abs(hit.at.t))
-    possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=(prim, off))
-    return ~certain, possible
+    return bracket.blocked(Rays(hit.p, lit.to_light, np.zeros(len(off)), lit.reach), leaving=(prim, off))

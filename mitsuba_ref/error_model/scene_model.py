@@ -16,10 +16,11 @@ from mitsuba_ref.error_model.intersections import (
     Array,
     ErrorModel,
     Intersections,
-    cross,
     joined,
     no_intersections,
     norm,
+    perpendicular,
+    triangle_heights,
     unit,
     without_overflow_warnings,
 )
@@ -197,9 +198,7 @@ class InstancedModel(SceneModel):
         for rows, _, arrays, k in self._by_kind(prim):
             if isinstance(arrays, Triangles):
                 corners = arrays.vertices[arrays.faces[k]]
-                edges = np.roll(corners, -1, axis=1) - corners
-                height = norm(cross(edges[:, 0], edges[:, 1])) / np.linalg.norm(edges, axis=2).max(axis=1)
-                turned[rows] = ku * np.abs(corners).max(axis=(1, 2)) / height
+                turned[rows] = ku * np.abs(corners).max(axis=(1, 2)) / triangle_heights(corners)
         return turned
 
 
@@ -256,8 +255,7 @@ class UncertainRaysModel(SceneModel):
     def _around(self, d: Array) -> Iterator[Array]:
         """Offsets (m, 3) across the rays: corners of polygons around the rings."""
         along = unit(d)
-        other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-        right = unit(np.cross(along, other))
+        right = unit(perpendicular(along))
         up = np.cross(along, right)
         out = 1.0 / np.cos(np.pi / self.around)
         for ring in self.rings:

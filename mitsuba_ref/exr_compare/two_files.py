@@ -33,8 +33,7 @@ class Judged(NamedTuple):
     """One quantity, compared with its bound."""
 
     result: GroupResult
-    differ: Array  # (h, w) bool
-    broken: Array  # (h, w) bool: a value should be finite and is not
+    bad: Array  # (h, w) bool: pixels that differ, or where a value should be finite and is not
     ratio: Array  # (h, w) error over bound
 
 
@@ -83,11 +82,10 @@ def compare_exr(
     # Every pixel of both, in our conventions.
     pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
     judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
-    results, differing, breaking, _ = zip(*judged, strict=True)
-    differ, broken = (np.any(each, axis=0) for each in (differing, breaking))
-    bad = int((differ | broken).sum())
-    failed = bool(broken.any()) or bad > tolerances.max_pixels
-    height, width = differ.shape
+    groups, bad, _ = zip(*judged, strict=True)
+    differing = int(np.any(bad, axis=0).sum())
+    failed = any(group.non_finite for group in groups) or differing > tolerances.max_pixels
+    height, width = pair.hit_ours.shape
     more = (f"{SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading))
     result = FileComparison(
         **about,
@@ -97,10 +95,10 @@ def compare_exr(
         hit_reference=int(pair.hit_reference.sum()),
         hit_either=int((pair.hit_ours | pair.hit_reference).sum()),
         hit_channel=pair.mask_channel,
-        differing_pixels=bad,
+        differing_pixels=differing,
         allowed_pixels=tolerances.max_pixels,
         compared=len(pair.names),
-        groups=results,
+        groups=groups,
         exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
         hints=tuple(more) if failed else (),
         scene=next((exr.provenance[SCENE] for exr in (a, b) if SCENE in exr.provenance), ""),
@@ -227,7 +225,7 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     agree = pair.hit_ours & pair.hit_reference & ~differ & ~broken
     counts = {"agree": int(agree.sum()), "differ": int(differ.sum()), "non_finite": int(broken.sum())}
     result = GroupResult(name=group, channels=names, bound=text, worst=worst, **counts)
-    return Judged(result, differ, broken, ratio.max(-1))
+    return Judged(result, differ | broken, ratio.max(-1))
 
 
 def _worst(pair: ExrPair, names: tuple[str, ...], numbers: dict[str, Array]) -> Worst | None:

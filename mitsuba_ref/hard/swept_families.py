@@ -12,7 +12,7 @@ from caster.rendering.hits import validated_rays
 from mitsuba_ref.error_model.intersections import Array, rounded
 from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene, plain
 from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, RayBatch, Targets, endless
-from mitsuba_ref.shapes.targets import Rng, SurfacePoints
+from mitsuba_ref.shapes.targets import Rng, SurfacePoints, random_unit_vectors
 
 CANDIDATES_PER_RAY = 64  # at the extreme end of a sweep few rays go where they were aimed
 EYE_DISTANCE = 5.0  # sizes of the shape, from the shape to the rays' origins, unless stressed
@@ -32,19 +32,14 @@ def unit(v: Array) -> Array:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def directions(rng: Rng, count: int) -> Array:
-    """(count, 3) unit vectors, uniformly distributed."""
-    return unit(rng.normal(size=(count, 3)))
-
-
 def perpendicular(rng: Rng, n: Array) -> Array:
     """(m, 3) random unit vectors perpendicular to the rows of n."""
-    return unit(np.cross(n, directions(rng, len(n))))
+    return unit(np.cross(n, random_unit_vectors(rng, len(n))))
 
 
 def turn(rng: Rng) -> Fields:
     """A random rotation step of to_world, so that no coordinate is a round number."""
-    return {"rotate": {"axis": directions(rng, 1)[0], "degrees": rng.uniform(20.0, 340.0)}}
+    return {"rotate": {"axis": random_unit_vectors(rng, 1)[0], "degrees": rng.uniform(20.0, 340.0)}}
 
 
 def near_origin(rng: Rng) -> Array:
@@ -95,7 +90,7 @@ def seen_from(distance: float, shape: Fields) -> HardScene:
 
     def draw(targets: Targets, count: int) -> OriginsAndDirections:
         p = points_around(targets, count).p
-        return towards(p + distance * directions(targets.rng, count), p)
+        return towards(p + distance * random_unit_vectors(targets.rng, count), p)
 
     return balanced(draw, shape)
 
@@ -122,7 +117,7 @@ def scaled(shape: Round, rng: Rng, scale: float) -> HardScene:
 
 
 def offset(shape: Round, rng: Rng, away: float) -> HardScene:
-    return seen_from(EYE_DISTANCE, shape(rng, rounded(away * directions(rng, 1)[0]), 1.0))
+    return seen_from(EYE_DISTANCE, shape(rng, rounded(away * random_unit_vectors(rng, 1)[0]), 1.0))
 
 
 def distant_triangle(rng: Rng, distance: float) -> HardScene:
@@ -174,7 +169,7 @@ def tangency(rng: Rng, gap: float) -> HardScene:
 
     def draw(targets: Targets, count: int) -> OriginsAndDirections:
         (part,), rng = targets.packed.parts, targets.rng
-        center, r, v = part.center[0], part.radius[0], directions(rng, count)
+        center, r, v = part.center[0], part.radius[0], random_unit_vectors(rng, count)
         beside = center + r * (1.0 + gap * rng.choice([-1.0, 1.0], (count, 1))) * perpendicular(rng, v)
         o, d = towards(beside - EYE_DISTANCE * v, beside)
         off = np.abs(np.linalg.norm(np.cross(center - o, unit(rounded(d))), axis=1) / r - 1.0)
@@ -215,7 +210,7 @@ def leaving(shape: Round, rng: Rng, away: float) -> HardScene:
     """Rays from p + away n on a surface: half outwards, half inwards."""
 
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
-        d = directions(rng, count)
+        d = random_unit_vectors(rng, count)
         p, _, across = Targets(packed, rng).points(count, "inside")
         n, outwards = unit(across), np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
         return batch(p + away * n, d * (np.sign(np.einsum("ij,ij->i", d, n)) * outwards)[:, None])
@@ -233,11 +228,11 @@ def watertight(share: float, rng: Rng, away: float) -> HardScene:
 
     share: the part of an edge that rays are aimed at, from its start; 0: its start, a vertex.
     """
-    move = away * directions(rng, 1)[0]
+    move = away * random_unit_vectors(rng, 1)[0]
 
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
         (part,), eyes = packed.parts, -(-count // RAYS_PER_EYE)
-        within = MAX_EYE_RADIUS * rng.random((eyes, 1)) * directions(rng, eyes)
+        within = MAX_EYE_RADIUS * rng.random((eyes, 1)) * random_unit_vectors(rng, eyes)
         o = rounded(np.repeat(move + within, RAYS_PER_EYE, axis=0)[:count])
         start, end, _ = part.vertices[rng.choice(part.faces, count)].swapaxes(0, 1)
         d = start + share * rng.random((count, 1)) * (end - start) - o
@@ -384,7 +379,7 @@ def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> 
 
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
         p, _, across = Targets(packed, rng).points(count, "inside")
-        back = directions(rng, count)
+        back = random_unit_vectors(rng, count)
         if angle:
             n = unit(across)
             back = np.cos(angle) * perpendicular(rng, n) + np.sin(angle) * n
@@ -405,7 +400,7 @@ def two_walls(rng: Rng, width: float) -> HardScene:
 
 def with_mesh(rng: Rng, center: Array, radius: float) -> list[Fields]:
     """Nested spheres, and triangles of glass beside them."""
-    beside = icosphere(rng, center + 2.5 * radius * directions(rng, 1)[0], radius)
+    beside = icosphere(rng, center + 2.5 * radius * random_unit_vectors(rng, 1)[0], radius)
     return [*nested(center, radius, INNER_SHARE * radius), beside | {"material": "glass"}]
 
 
@@ -414,7 +409,7 @@ def glass_of_size(rng: Rng, size: float) -> HardScene:
 
 
 def glass_far_away(rng: Rng, offset: float) -> HardScene:
-    return leaving_scene(with_mesh(rng, offset * directions(rng, 1)[0], 1.0), EYE_DISTANCE)
+    return leaving_scene(with_mesh(rng, offset * random_unit_vectors(rng, 1)[0], 1.0), EYE_DISTANCE)
 
 
 def grazing_mirrors(rng: Rng, angle: float) -> HardScene:

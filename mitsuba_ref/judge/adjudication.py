@@ -193,7 +193,7 @@ class ExactHits:
 
     def near(self, rows: Array, prim: Array, t: Array, ku: float, *, ours: bool) -> Intersections:
         """Intersections of some rays with primitives, one each. ku, ours: as in SceneModel.intersect."""
-        return intersections_at(self.ready.model, prim, (self.o[rows], self.d[rows]), t, ku, ours=ours)
+        return intersections_at(self.ready.model, prim, self.o[rows], self.d[rows], t, ku, ours=ours)
 
     def ratios(self, answer: Answer, *, ours: bool) -> Array:
         """(n,) error over bound, as by `exact_ratios`. ours: False for the reference, as in SceneModel.intersect."""

@@ -73,7 +73,7 @@ def largest_ratios(judgement: Judgement) -> dict[str, float]:
 def defect_counts(judgement: Judgement) -> dict[str, int]:
     """Number of pixels where the reference is wrong, by known case."""
     numbers = sorted(judgement.cases.values(), key=lambda case: (case is None, case))
-    return dict(Counter(UNLISTED if case is None else str(case) for case in numbers))
+    return dict(Counter(str(case or UNLISTED) for case in numbers))
 
 
 def scene_statistics(scene: Scene) -> SceneStatistics:

@@ -20,7 +20,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
-from mitsuba_ref.error_model.intersections import Array, Intersections, row_groups, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, row_groups, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import Adjudication, claims_of, exact_ratios, oracle_answers, sample_rows
@@ -50,8 +50,6 @@ AGREEING_PIXELS_SHADED = 4096
 # sample of 512 would contain none with probability 0.6 %; no pixel passes by it.
 WRONG_PIXELS_ADJUDICATED = 512
 MAX_KINDS_OF_SHAPES = 64  # pixels of each shape are sampled separately in scenes of at most so many shapes
-
-RAYS_PER_BATCH = 1 << 14  # rays of a list whose possible intersections are in memory at once
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ class Judge:
         self.names_prims = self.answer.prim is not None
         self.prim = self.reference_prim if self.answer.prim is None else self.answer.prim
         t, reference_t = (self.answer.t,) * 2 if self.names_prims else (self.result.t, self.reference_t)
-        at = intersections_at(model, self.prim, self.reference_lines[:2], reference_t, KU, ours=False)
+        at = intersections_at(model, self.prim, *self.reference_lines[:2], reference_t, KU, ours=False)
         self.bounds = Bounds(self.near(slice(None), self.prim, t), at)
         with np.errstate(invalid="ignore"):
             self.point = self.o + self.answer.t[:, None] * self.d
@@ -117,15 +115,15 @@ class Judge:
         rows = np.flatnonzero((prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known)
         if len(rows):
             other, (o, d, _) = self.reference_prim[rows], (a[rows] for a in self.reference_lines)
-            at = intersections_at(self.model, other, (o, d), self.reference_t[rows], KU, ours=False)
+            at = intersections_at(self.model, other, o, d, self.reference_t[rows], KU, ours=False)
             moved = self.model.uv_points(other, theirs[rows], ours=False) - at.uv
             reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
         return UvPair(ours, np.where(known[:, None], reference, ours), bound)
 
     def near(self, rows: Array | slice, prim: Array, t: Array) -> Intersections:
         """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
-        lines, answer = (self.o[rows], self.d[rows]), self.answer
-        return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
+        ku, ours = self.answer.ku, not self.answer.as_exported
+        return intersections_at(self.view, prim, self.o[rows], self.d[rows], t, ku, ours=ours)
 
     @cached_property
     def reference_lines(self) -> tuple[Array, Array, Array]:
@@ -276,10 +274,7 @@ class Judge:
         """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
         rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
         found = np.zeros(len(self.hit), bool)
-        for start in range(0, len(rows), RAYS_PER_BATCH):
-            some = rows[start : start + RAYS_PER_BATCH]
-            lines = self.o[some], self.d[some], self.t_max[some], self.t_min[some]
-            found[some[self.bracket.possible_hits(*lines).ray]] = True
+        found[rows], _ = self.bracket.blocked(Rays(self.o[rows], self.d[rows], self.t_min[rows], self.t_max[rows]))
         return found
 
     def _classify_reference(self, classes: Array, disputed: Array, loose: Array, exact: Adjudication) -> None:

@@ -99,7 +99,7 @@ def _with_normals(model: SceneModel, o: Array, d: Array, claims: Claims, prims: 
     rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
     normless = np.zeros(len(prims), bool)
     n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
-    at = intersections_at(model, prims[rows], (o[rows], d[rows]), claims.t[rows], KU, ours=False)
+    at = intersections_at(model, prims[rows], o[rows], d[rows], claims.t[rows], KU, ours=False)
     n[rows], sh_n[rows], normless[rows] = at.n, at.sh_n, at.n_error >= 1.0
     p[rows] = o[rows] + at.t[:, None] * d[rows]
     return claims._replace(n=n, sh_n=sh_n, p=p), normless

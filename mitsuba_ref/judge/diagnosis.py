@@ -121,7 +121,7 @@ class _Causes:
 
     def _where(self, rows: Array, known: bool) -> str:
         """What separates these rows from right ones; known: their cause is, so that only primitives are named."""
-        text = separator_text(self.judge, self.judgement, rows, prims_only=known)
+        text = next(separators(self.judge, self.judgement, rows, prims_only=known), "")
         missed = rows[~self.judge.hit[rows]]
         if text or known or self.cast is None or len(missed) < NEARLY_ALL * len(rows):
             return text
@@ -311,13 +311,8 @@ MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extr
 Property = tuple[str, Array]  # a sentence, and (n,) bool
 
 
-def separator_text(judge: Judge, judgement: Judgement, wrong: Array, *, prims_only: bool = False) -> str:
-    """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
-    return next(_separators(judge, judgement, wrong, prims_only), "")
-
-
-def _separators(judge: Judge, judgement: Judgement, wrong: Array, prims_only: bool) -> Iterator[str]:
-    """What separates rows, the simplest first."""
+def separators(judge: Judge, judgement: Judgement, wrong: Array, *, prims_only: bool = False) -> Iterator[str]:
+    """Properties and thresholds that separate nearly all of these wrong rows from right ones, the simplest first."""
     prim = judge.reference_prim.astype(np.int64)  # (n,) what each ray hits
     prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
     wrong, right = wrong[prim[wrong] >= 0], np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))

@@ -15,7 +15,6 @@ from mitsuba_ref.error_model.lambert import (
     LightContribution,
     Materials,
     ShadingPoints,
-    certain_lights,
     smallest_error_ratio,
 )
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
@@ -35,7 +34,7 @@ class Lights(NamedTuple):
     """All lights but the ambient ones at m pixels, by their definitions, without shadows."""
 
     each: list[LightContribution]
-    radiance: Array  # (lights, m, 3); where either face may be lit, that of the one that faces the ray
+    radiance: Array  # (lights, m, 3)
     error: Array  # (lights, m, 3)
     doubtful: Array  # (lights, m) bool: at such a grazing angle
 
@@ -54,7 +53,8 @@ def judge_diffuse(
         at = ColoredPoints(pair.result.shape_id[rows], answer.prim[rows], uv, p, answer.albedo[rows])
         reference_ratio[rows] = color_ratios(textures, brackets[0].model.packed.parts, at, KU)
         pair = _for_our_albedo(scene, pair, rows, lights)
-    ratio[rows] = _ratio(pair, rows, certain_lights(*_as_given(pair, lights, rows)))
+    given, no_doubt = _as_given(pair, lights, rows), np.zeros_like(lights.doubtful)
+    ratio[rows] = _ratio(pair, rows, LightChoices(*given, *given, no_doubt))
     ratio = np.maximum(ratio, reference_ratio)
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
@@ -75,7 +75,8 @@ def diffuse_within_float64(scene: Scene, hit: ShadingPoints, prim: Array, values
     lit, shaded = np.ones_like(lights.doubtful), np.zeros_like(lights.doubtful)
     if scene.shading.shadows:
         for i, light in enumerate(lights.each):
-            lit[i], shaded[i] = lambert.our_visibility(bracket, hit, light, prim)
+            shaded[i], certain = lambert.our_shadows(bracket, hit, light, prim)
+            lit[i] = ~certain
     first, error = (np.where(lit[..., None], each, 0.0) for each in (lights.radiance, lights.error))
     dark = np.zeros_like(first)
     choices = LightChoices(first, error, dark, dark, lit & (shaded | lights.doubtful))
@@ -120,11 +121,10 @@ def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
     each = [lambert.light_contribution(materials, light, hit, ku) for light in scene.lights if light.type != "ambient"]
     shape = len(each), len(hit.shape)
     doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
-    radiance, either_side, error = (
-        np.array([getattr(light, name) for light in each]).reshape(*shape, 3)
-        for name in ("radiance", "either_side", "error")
+    radiance, error = (
+        np.array([getattr(light, name) for light in each]).reshape(*shape, 3) for name in ("radiance", "error")
     )
-    return Lights(each, np.where(doubtful[..., None], either_side, radiance), error, doubtful)
+    return Lights(each, radiance, error, doubtful)
 
 
 def _as_given(pair: ImagePair, lights: Lights, rows: Array) -> tuple[Array, Array]:
@@ -148,9 +148,9 @@ def _choices(
     doubt = lights.doubtful.copy()
     p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
     for i, light in enumerate(lights.each if scene.shading.shadows else ()):
-        they_lit, they_shaded = lambert.reference_visibility(theirs, hit, light, p, n)
-        we_lit, we_shaded = lambert.our_visibility(ours, hit, light, pair.prim[rows])
-        doubt[i] |= np.where(pair.result.visible[i, rows], they_lit & we_shaded, they_shaded & we_lit)
+        they_may, they_must = theirs.blocked(lambert.reference_shadow_rays(hit, light, p, n))
+        we_may, we_must = lambert.our_shadows(ours, hit, light, pair.prim[rows])
+        doubt[i] |= np.where(pair.result.visible[i, rows], we_may & ~they_must, they_may & ~we_must)
     given, error = _as_given(pair, lights, rows)
     bright = np.asarray(given.any(axis=-1))[..., None]
     contrary, its_error = (np.where(bright, 0.0, each) for each in (lights.radiance, lights.error))

@@ -82,8 +82,7 @@ class WrongPixels:
     @cached_property
     def roots(self) -> RayIntersections:
         """All intersections of the lines, before and behind the origins; `ray` is the place here."""
-        t_max = self.judge.t_max[self.rows]
-        return self.judge.bracket.possible_hits(self.o, self.d, t_max, np.full(len(self.rows), -np.inf))
+        return self.judge.bracket.possible_hits(self.o, self.d, self.judge.t_max[self.rows], -np.inf)
 
 
 Predicts = Callable[[WrongPixels], Array]  # (m,) bool: the subject answers as if it made the mistake
@@ -230,7 +229,7 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     described = described_model(f.judge.scene) if f.judge.pair.rays.is_list else None
 
     def of_described(g: WrongPixels) -> Array:
-        at = intersections_at(described or g.judge.model, g.prim, (g.o, g.d), g.t, KU_OURS, ours=True)
+        at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, KU_OURS, ours=True)
         return g.right_under(g.hit, at.t, at.t_error) & g.hit
 
     def of_points(g: WrongPixels) -> Array:

@@ -94,7 +94,7 @@ def probe_with_evidence(
 
 def _class_of(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int = 0) -> dict[str, str]:
     """The fields of `Explained` for a row of the image."""
-    case = {row: UNLISTED if number is None else str(number) for row, number in judgement.cases.items()}.get(row, "")
+    case = str(judgement.cases[row] or UNLISTED) if row in judgement.cases else ""
     why = full_reason(judge, judgement, diagnosed, row)
     return {"verdict": CLASSES[int(judgement.classes[row])], "why": why, "case": case}
 
@@ -204,10 +204,8 @@ def _answer(scene: Scene, aovs: Aovs, t: Array) -> dict[str, Any]:
 
 def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
     """All primitives that the reference may hit, nearest first."""
-    rays, bracket = judge.pair.rays, judge.reference_bracket
-    t_max = rays.t_max.astype(np.float64)
-    found = bracket.possible_hits(rays.o.astype(np.float64), rays.d.astype(np.float64), t_max)
-    certain = np.isfinite(latest_hits(found, t_max))
+    found = judge.reference_bracket.possible_hits(*judge.reference_lines)
+    certain = np.isfinite(latest_hits(found, judge.reference_lines[2]))
     surfaces = named_prims(scene, judge.model.packed, found.prim)
     for i in np.argsort(found.at.t, kind="stable"):
         shape, prim = surfaces[i]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 from caster.system.terminal import folded
@@ -83,14 +83,12 @@ class PixelVerdict(Explained):
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinite numbers become text."""
-        plain: dict[str, Any] = _json_value(self)
-        return plain
+        return dict(_json_value(self))
 
 
 def _json_value(value: Any) -> Any:
     if is_dataclass(value):
-        found = {each.name: getattr(value, each.name) for each in fields(value)}
-        value = found | {"ok": value.ok} if isinstance(value, Explained) else found
+        value = vars(value) | ({"ok": value.ok} if isinstance(value, Explained) else {})
     if isinstance(value, Mapping):
         return {key: _json_value(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,7 @@ class WitnessAnswer:
     t: float = math.nan
     right: bool | None = None  # names a surface that is hit exactly, with t within its bound; None: undecided
     off: float | None = None  # t minus the exact t; None on a miss, or if another surface is hit
-    ulps: float | None = None  # `off` in units of the last place of `format`
+    ulps: float | None = None  # `off` in units of the last place of `format`; None also if that overflows
     format: str = ""  # float32 or float64, in which it computes
     share: float | None = None  # |off| over its bound in `format`
     problem: str = ""  # why there is no answer
@@ -49,25 +48,28 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     rows = [compared_with_exact(ours, judge, answer, np.float64)]
     if answer is not None:
         rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), answer.distance, right=True))
-    rows += [_of_mitsuba(f"mitsuba {variant}", found, judge, answer) for variant, found in mitsuba_answers(judge)]
-    return tuple(rows)
+    return (*rows, *_of_mitsuba(judge, answer))
 
 
-def mitsuba_answers(judge: Judge) -> Iterator[tuple[str, ReferenceResult | Crash | str]]:
-    """Answers by variant with its mode, the judge's own among them."""
+def _of_mitsuba(judge: Judge, exact: ExactAnswer | None) -> Iterator[WitnessAnswer]:
+    """Of each variant in each mode, the judge's own among them."""
     result, given = judge.result, judge.result.answer.versions["variant"]
     works = {*variants.usable_variants().names, given}
-    answer: ReferenceResult | Crash | str
     for variant, (mode, robust) in product(dict.fromkeys((*variants.VARIANT_NAMES, given)), MODES.items()):
-        if (variant, robust) == (given, result.robust):
-            answer = result
-        elif variant in works:
-            answer = trace_reference(
+        who = f"mitsuba {variant} {mode}"
+        if variant not in works:
+            yield WitnessAnswer(who, problem=MISSING)
+            continue
+        found: ReferenceResult | Crash = result
+        if (variant, robust) != (given, result.robust):
+            found = trace_reference(
                 judge.scene, judge.model, judge.pair.rays, variant=variant, lights=False, robust=robust
             )
-        else:
-            answer = MISSING
-        yield f"{variant} {mode}", answer
+        if isinstance(found, Crash):
+            yield WitnessAnswer(who, problem=f"no answer ({found.exit}): {found.headline}")
+            continue
+        surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
+        yield compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
@@ -75,16 +77,6 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
     if prim < 0:
         return "miss", -1
     return named_prims(judge.scene, judge.model.packed, np.array([prim]))[0]
-
-
-def _of_mitsuba(
-    who: str, found: ReferenceResult | Crash | str, judge: Judge, exact: ExactAnswer | None
-) -> WitnessAnswer:
-    if not isinstance(found, ReferenceResult):
-        problem = found if isinstance(found, str) else f"no answer ({found.exit}): {found.headline}"
-        return WitnessAnswer(who, problem=problem)
-    surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
-    return compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
 
 
 def compared_with_exact(
@@ -98,7 +90,7 @@ def compared_with_exact(
     if claimed[1:3] not in surfaces:
         return replace(witness, right=False)
     ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
-    at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
+    at = intersections_at(judge.model, prim, judge.o, judge.d, t, KU_OURS if ours else KU, ours=ours)
     found = with_error_of_t(witness, exact, at.t_error)
     return replace(found, right=found.share is None or found.share <= 1.0)
 
@@ -129,15 +121,9 @@ def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: Array) -
         return witness
     off = exact.t.off(witness.t) * -exact.t.compare(witness.t)
     share = float(ratio_to_bound(np.abs(off), bounds).min())
-    return replace(witness, off=off, ulps=in_ulps(off, exact, np.dtype(witness.format)), share=share)
-
-
-def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
-    """`off` in units of the last place of the exact t in a format; None if that overflows."""
-    assert exact.t is not None
     with np.errstate(over="ignore", under="ignore"):
-        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
-    return off / ulp if np.isfinite(ulp) else None
+        ulp = float(np.spacing(np.abs(np.asarray(exact.distance).astype(witness.format))))
+    return replace(witness, off=off, ulps=off / ulp if np.isfinite(ulp) else None, share=share)
 
 
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:

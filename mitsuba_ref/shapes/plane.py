@@ -25,7 +25,9 @@ from mitsuba_ref.error_model.intersections import (
     dot,
     finite_or_zero,
     norm,
+    perpendicular,
     position_error,
+    triangle_heights,
     unit,
     without_edges,
     without_float_warnings,
@@ -63,7 +65,7 @@ def _patch(normal: Array, point: Array, o: Array, d: Array) -> tuple[Array, ...]
     n = normal / row_lengths(normal[None])
     eye = o.mean(axis=0) if len(o) else point
     center = eye - n * dot_rows(n[None], eye - point)
-    first = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+    (first,) = perpendicular(n[None])
     first = first / row_lengths(first[None])
     second = np.cross(n, first)
     sine, cosine = sine_and_cosine(PATCH_ROTATION)
@@ -137,7 +139,7 @@ def intersect(prims: Patches, k: Array, o: Array, d: Array, ku: float) -> tuple[
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # a single rounding: ku / K
     within_one = local.certain | other.certain
-    met = np.minimum(_height(corners), _height(others))
+    met = np.minimum(triangle_heights(corners), triangle_heights(others))
     height = np.where(within_one, met, _least_height(prims.half[k], face))
     t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
     n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
@@ -196,12 +198,6 @@ def _face_of_hit(prims: Patches, k: Array, o: Array, d: Array, t: Array) -> tupl
     return np.where(ring == 0, 0, 2 + 8 * (ring - 1) + 2 * side), within
 
 
-def _height(corners: Array) -> Array:
-    """Smallest heights (m,) of triangles with corners (m, 3, 3)."""
-    edges = np.roll(corners, -1, axis=1) - corners
-    return norm(np.cross(edges[:, 0], edges[:, 1])) / norm(edges.reshape(-1, 3)).reshape(-1, 3).max(axis=1)
-
-
 def _least_height(half: Array, face: Array) -> Array:
     """Smallest height of the triangles around the ring of `face`: that of the narrow ones in the ring inside it."""
     ring = np.where(face == 0, 0, (face - 2) // 8 + 1)
@@ -227,8 +223,8 @@ def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 def on_planes(prims: Any, k: Array, rng: Rng, sort: str) -> SurfacePoints:
     n = prims.normal[k]
-    side = np.eye(3)[np.argmin(np.abs(n), axis=1)]
-    u, v = np.cross(n, side), np.cross(n, np.cross(n, side))
+    u = perpendicular(n)
+    v = np.cross(n, u)
     if sort == "corner":
         return SurfacePoints(prims.point[k], u, n)
     at = random_fractions(rng, len(k)) * u + random_fractions(rng, len(k)) * v

@@ -35,6 +35,7 @@ from mitsuba_ref.error_model.intersections import (
     dot,
     mat_vec_rows,
     norm,
+    perpendicular,
     position_error,
     without_edges,
 )
@@ -158,8 +159,7 @@ def unit_sphere_points(rng: Rng, count: int, sort: str) -> SurfacePoints:
     turned = rng.permuted(np.column_stack([c, s, np.zeros(count)]), axis=1)
     any_way = random_unit_vectors(rng, count)
     u = np.where((sort == "corner") | (rng.random((count, 1)) < 0.3), turned, any_way)
-    across = np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=1)])
-    return SurfacePoints(pushed_outside(rng, u, sort), across, u)
+    return SurfacePoints(pushed_outside(rng, u, sort), perpendicular(u), u)
 
 
 def random_fields(rng: Rng, lattice: bool) -> Fields:

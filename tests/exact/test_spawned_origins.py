@@ -93,14 +93,15 @@ def test_the_float64_filter_agrees_with_exact_arithmetic():
     scene = Scene(camera=CAMERA, shapes=shapes)
     p = Targets(packed_float32(scene), rng).points(count, "inside").p
     o, w = p + rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
-    rays = leaving(shapes, o, p - o, w, p)
-    side = np.where((rays.rays.n * w).sum(axis=1) < 0, -1, 1)[:, None]
-    off = 10.0 ** rng.uniform(-17, 0, (count, 1)) * (side * rays.rays.n + 0.3 * rng.normal(size=(count, 3)))
+    made = leaving(shapes, o, p - o, w, p)
+    rays = made.rays
+    side = np.where((rays.n * w).sum(axis=1) < 0, -1, 1)[:, None]
+    off = 10.0 ** rng.uniform(-17, 0, (count, 1)) * (side * rays.n + 0.3 * rng.normal(size=(count, 3)))
     off *= rng.choice([1.0, 1.0, -1.0], (count, 1))  # some start on the other side
-    rays = rays._replace(rays=rays.rays._replace(q=rays.rays.p + off))
-    judge = OriginJudge(Oracle(rays.packed))
-    sure = judge.certainly_right(rays.rays)
-    exact = np.array([judge.judge_exactly(rays.rays.rows(row))[0] for row in range(count)])
+    rays = rays._replace(q=rays.p + off)
+    judge = OriginJudge(Oracle(made.packed))
+    sure = judge.certainly_right(rays)
+    exact = np.array([judge.judge_exactly(rays.rows(row))[0] for row in range(count)])
     assert not exact[sure].any() and sure[exact == 0].mean() > 0.25
     assert all((exact & what).any() for what in (SELF_HIT, SKIPPED, WRONG_SIDE))
 

@@ -9,7 +9,7 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
-from mitsuba_ref.error_model.intersections import norm
+from mitsuba_ref.error_model.intersections import Rays, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, K
 from mitsuba_ref.reference import mitsuba_process
@@ -69,8 +69,8 @@ def compared(model: SceneModel, witness: ReferenceResult, o: np.ndarray, d: np.n
     }
     everywhere = np.zeros(len(o), bool)
     everywhere[rows] = resolved
-    certain = bracket.blocked(o, d, t_max)[1]
-    true_hit = Bracket(model, KU_OURS, ours=True).blocked(o, d, t_max)[1]
+    rays = Rays(o, d, np.zeros(len(o)), t_max)
+    certain, true_hit = (each.blocked(rays)[1] for each in (bracket, Bracket(model, KU_OURS, ours=True)))
     judged = (at.possible[resolved], finding.allowed, finding.open)
     return Observed(witness.hit, everywhere, k, *judged, certain, true_hit)
 

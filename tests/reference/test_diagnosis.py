@@ -10,7 +10,7 @@ import caster
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
-from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, separator_text
+from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, separators
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Answer
 
@@ -135,7 +135,7 @@ def test_numbers_that_are_off_by_one_are_named(right, column, name, step, remedy
 def where(judge: Judge, judgement, rows: np.ndarray) -> str:
     classes = judgement.classes.copy()
     classes[rows] = CLASS_CODE["wrong"]
-    return separator_text(judge, replace(judgement, classes=classes), rows)
+    return next(separators(judge, replace(judgement, classes=classes), rows), "")
 
 
 FEATURES = {

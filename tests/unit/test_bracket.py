@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.bracket import (
     near_ray_start,
 )
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
-from mitsuba_ref.error_model.intersections import Intersections, unit
+from mitsuba_ref.error_model.intersections import Intersections, Rays, unit
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
@@ -210,22 +210,25 @@ START = (np.array([0, 0]), np.array([1e-15, 1e-15]))  # the primitive they leave
 def test_shadow_rays_do_not_count_the_surface_they_leave():
     """From a point of a ball to the outside nothing blocks; through the ball, its far side does."""
     o = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
-    d, t_max = np.array([[0.1, 0.0, 1.0], [0.1, 0.0, -1.0]]), np.array([np.inf, np.inf])
+    d = np.array([[0.1, 0.0, 1.0], [0.1, 0.0, -1.0]])
+    rays = Rays(o, d, np.zeros(2), np.full(2, np.inf))
     alone = bracket([BALL], o, d, ours=True)
-    possible, certain = alone.blocked(o, d, t_max, leaving=START)
+    possible, certain = alone.blocked(rays, leaving=START)
     assert possible.tolist() == certain.tolist() == [False, True]
-    possible, _ = alone.blocked(o, d, t_max)
+    possible, _ = alone.blocked(rays)
     assert possible.tolist() == [True, True]  # its own start, unless told
     roofed = bracket([BALL, Plane(normal=(0, 0, 1), offset=9)], o, d, ours=True)
-    assert roofed.blocked(o, d, t_max, leaving=START)[1].tolist() == [True, True]
-    assert roofed.blocked(o, d, np.array([5.0, 1.0]), leaving=START)[1].tolist() == [False, False]
+    assert roofed.blocked(rays, leaving=START)[1].tolist() == [True, True]
+    assert roofed.blocked(rays._replace(t_max=np.array([5.0, 1.0])), leaving=START)[1].tolist() == [False, False]
 
 
 def test_only_the_meeting_at_the_start_is_left_out():
     """Seen from inside, the far wall of the ball is no start of it, even where nothing else of the ball is met."""
     o, d = np.array([[0.0, 0.0, 0.999]]), np.array([[0.0, 0.0, -1.0]])
     inside = bracket([BALL], o, d, ours=True)
-    possible, certain = inside.blocked(o, d, np.array([np.inf]), leaving=(np.array([0]), np.array([1e-15])))
+    possible, certain = inside.blocked(
+        Rays(o, d, np.zeros(1), np.full(1, np.inf)), leaving=(np.array([0]), np.array([1e-15]))
+    )
     assert possible[0] and certain[0]
 
 

@@ -101,7 +101,7 @@ def expected_t(scene: Scene, o: Array, d: Array) -> tuple[Array, Array, Array]:
     """t (m,) of our caster, the tolerance for others (MATCH_RTOL, or float32's bound if larger), and n . d."""
     found = _cast(scene, o, d, 0.0)
     model = model_of(scene, packed_float32(scene), endless_rays(o, d))
-    at = intersections_at(model, found.prim, (o, d), found.t, KU, ours=False)
+    at = intersections_at(model, found.prim, o, d, found.t, KU, ours=False)
     hit = found.prim >= 0
     return found.t, np.where(hit, np.fmax(MATCH_RTOL * found.t, at.t_error), 0.0), np.where(hit, dot(at.n, d), 0.0)
 

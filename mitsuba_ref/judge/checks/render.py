@@ -102,7 +102,7 @@ def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
-    at = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
+    at = intersections_at(model, prim, o, d, t, KU_OURS, ours=True)
     right[hit] &= diffuse_within_float64(
         scene, ShadingPoints(o + t[:, None] * d, d, shape, at, albedo[hit]), prim, diffuse[hit], bracket
     )

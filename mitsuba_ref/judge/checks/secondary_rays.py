@@ -45,8 +45,8 @@ def _shares(bounce: Bounce, scene: Scene) -> Iterator[tuple[float, str]]:
     """Shares of bounds, with what they are about."""
     rays, parents = bounce.rays, bounce.parents
     kinds, prim = np.array(RAY_KINDS)[rays.kind], np.where(bounce.continues, parents.nearest.prim, -1)
-    lines, hit = (parents.rays.o, parents.rays.d), prim >= 0
-    at = intersections_at(own_model(parents.packed), prim, lines, parents.nearest.t, KU_OURS, ours=True)
+    hit, t = prim >= 0, parents.nearest.t
+    at = intersections_at(own_model(parents.packed), prim, *parents.rays[:2], t, KU_OURS, ours=True)
     materials = [scene.material_of(shape) for shape in scene.shapes]
     material = np.array([*(each.type for each in materials), ""])[np.where(hit, parents.shape_id, -1)]
     ior = np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0])[parents.shape_id]
@@ -142,7 +142,7 @@ def leaving_rays(
 ) -> LeavingRays:
     """Rays from q along w (n, 3) after the hits of their parents: primitive, -1 on a miss, and t, (n,) each."""
     o, d = parents.o, parents.d
-    at = intersections_at(own_model(packed), prim, (o, d), t, KU_OURS, ours=True)
+    at = intersections_at(own_model(packed), prim, o, d, t, KU_OURS, ours=True)
     with np.errstate(all="ignore"):
         way = at.t[:, None] * d
         p = o + way
@@ -160,7 +160,6 @@ def rays_of_bounce(bounce: Bounce) -> LeavingRays:
 class OriginFindings(NamedTuple):
     """Findings on the origins of one rule."""
 
-    judge: OriginJudge
     leaving: LeavingRays
     found: Array  # (n,) uint8, a sum of SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED
     between: Array  # (n,) int64, number of a skipped primitive, -1
@@ -209,7 +208,7 @@ class OriginFindings(NamedTuple):
 def judge_origins(leaving: LeavingRays, judge: OriginJudge | None = None) -> OriginFindings:
     """Judge the origins of rays; `judge` may serve several rules of one scene."""
     judge = judge or OriginJudge(Oracle(leaving.packed))
-    return OriginFindings(judge, leaving, *judge.judge(leaving.rays))
+    return OriginFindings(leaving, *judge.judge(leaving.rays))
 
 
 def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = send_stored) -> LeavingRays:
@@ -238,7 +237,7 @@ def reference_rays(
     found = trace_reference(scene, model, parents, lights=False, timeout=timeout, send=send, leaving=rays.w)
     if isinstance(found, Crash):
         raise NoAnswer(found.message)
-    expected = intersections_at(model, rays.prim, (rays.o, rays.d), rays.t, KU, ours=False)
+    expected = intersections_at(model, rays.prim, rays.o, rays.d, rays.t, KU, ours=False)
     with np.errstate(all="ignore"):
         near = np.abs(listed.t_of_reference(found.t) - expected.t) <= expected.t_error
     same = np.flatnonzero(near & found.hit & (found.shape_id == leaving.packed.shape_of(rays.prim)))
