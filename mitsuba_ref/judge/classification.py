@@ -258,17 +258,20 @@ class Judge:
 
     def adjudicated(self, rows: Array) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""
-        answer = self.answer
-        t_min = np.where(self.hits_at_t_min[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
-        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], t_min)
-        found = exact_ratios(answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at), self.model.packed)
+        given, t_min, starts = self.answer.rows(rows), self.t_min[rows], self.hits_at_t_min[rows]
+        limits = np.where(starts, np.nextafter(t_min, -np.inf), t_min)
+        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], limits)
+        starts &= [each is not None and each.distance == limit for each, limit in zip(answers, t_min, strict=True)]
+        given = replace(given, t=np.where(starts, t_min, given.t))
+        found = exact_ratios(answers, given, lambda of, *at: self.near(rows[of], *at), self.model.packed)
         return Adjudication(rows, answers, *found)
 
     @cached_property
     def hits_at_t_min(self) -> Array:
-        """(n,) bool: a candidate's hits exactly at t_min, such as t = 0, which it may count as part of the ray."""
-        found: Array = (self.answer.t == self.t_min) & (not (self.answer.exact_visibility or self.answer.hits_only))
-        return found
+        """(n,) bool: a candidate's hits at t_min, such as t = 0, up to rounding of o; it may count them to the ray."""
+        off = np.abs(self.answer.t - self.t_min) * np.abs(self.d).max(axis=1)
+        found: Array = off <= self.answer.ku * np.abs(self.o).max(axis=1)
+        return found & (not (self.answer.exact_visibility or self.answer.hits_only))
 
     def _may_hit(self) -> Array:
         """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""

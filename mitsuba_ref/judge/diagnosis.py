@@ -503,6 +503,7 @@ def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays)
     near = range_text(t * norm(d)[:, None])
     for changed, question, *lines in (
         ("alone", "does the number of rays matter", o, d),
+        (f"from {FARTHER:g} times as near", f"is what is as far as {near} lost", p - t * d / FARTHER, d),
         ("along directions 2^40 times as long", f"is an epsilon larger than {small} here", o, LONGER * d),
         (f"from {FARTHER:g} times as far", f"is what is nearer than {near} lost", p - FARTHER * t * d, d),
         ("along directions turned by 20 degrees", "is a component of d that is 0 a divisor", p - t * turned, turned),

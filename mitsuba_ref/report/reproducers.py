@@ -116,8 +116,9 @@ def material_of(judge: Judge, prim: int, shape: dict[str, Any]) -> tuple[str, Ma
     material, packed = judge.scene.materials[name], judge.model.packed
     if not isinstance(material.texture, MeshColors) or shape["type"] != "triangle":
         return name, material
-    i = int(packed.shape_of(np.array([prim]))[0])
-    colors = MeshColors(vertices=material.texture.at_corners(packed.parts[i].faces, [prim - packed.first[i]])[0])
+    number = np.array([prim])
+    faces = packed.parts[int(packed.shape_of(number)[0])].faces
+    colors = MeshColors(vertices=material.texture.at_corners(faces, packed.index_in_shape(number))[0])
     return f"{name}, prim {prim}", material.model_copy(update={"reflectance": colors})
 
 

@@ -115,6 +115,11 @@ def casting(change: Any) -> Caster:
     return edited(rays=lambda self, *given: change(*given))
 
 
+def without_far_hits(scene: Scene, o: np.ndarray, d: np.ndarray, t: np.ndarray, n: np.ndarray) -> Any:
+    """Only hits nearer than 1."""
+    return np.where(t * length(d) > 1.0, np.inf, t), n
+
+
 def in_order(change: Any) -> Caster:
     """change of an image (height, width, ...)."""
 
@@ -386,6 +391,7 @@ DEFECTS = [
     Mistake("epsilon too large", edited(determinant_epsilon=5.0), "torus-smooth", "hit along directions 2^40 times"),
     Mistake("one side hit", edited(seen=lambda self, det: det > 0), "one-triangle", "hit from the other side"),
     Mistake("near hits lost", edited(t_min=20.0), "torus-smooth", "hit from 1000 times as far"),
+    Mistake("far hits lost", answering(without_far_hits), "torus-smooth", "hit from 1000 times as near"),
     Mistake(
         "d along an axis",
         answering(lambda s, o, d, t, n: (np.where((d == 0.0).any(axis=1), np.inf, t), n)),
