@@ -196,8 +196,8 @@ class MeshColors(Texture):
         u, v = b - a, c - a
         uu, uv, vv = dot_rows(u, u), dot_rows(u, v), dot_rows(v, v)
         area = uu * vv - uv * uv  # squared, of the parallelogram
-        duals = np.stack([vv[:, None] * u - uv[:, None] * v, uu[:, None] * v - uv[:, None] * u])
-        duals /= np.where(area > 0.0, area, np.inf)[:, None]  # gradients of the barycentrics b1, b2
+        scaled = [vv[:, None] * u - uv[:, None] * v, uu[:, None] * v - uv[:, None] * u]
+        duals = scaled / np.where(area > 0.0, area, np.inf)[:, None]  # gradients of the barycentrics b1, b2
         colors = self.at_corners(triangles.faces)
         changes = (colors[:, 1:] - colors[:, :1]).transpose(1, 0, 2)
         gradients = (changes[..., None] * duals[..., None, :]).sum(axis=0)
@@ -244,7 +244,7 @@ def texture_arrays(textures: Sequence[Any], packed: Any) -> Textures:
             texels.append(texture.rows(packed.parts[k]) if of_mesh else texture.texels.reshape(-1, 3))
             count += len(texels[-1])
         if of_mesh:
-            settings[k] = OF_MESH, 0, 0, 0, first[id(texture)] - ROWS_PER_FACE * packed.places[packed.first[k]]
+            settings[k, ::4] = OF_MESH, first[id(texture)] - ROWS_PER_FACE * packed.places[packed.first[k]]
             continue
         height, width, _ = texture.texels.shape
         settings[k] = FILTERS[texture.filter], WRAPS[texture.wrap], width, height, first[id(texture)]

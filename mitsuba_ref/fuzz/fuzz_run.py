@@ -151,8 +151,7 @@ class FuzzRun:
         start = time.monotonic()
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
         self.outcome.left_out = tuple(each for each in shape_types() if each not in self.drawing.types)
-        at_once = 1 if self.here else EXAMPLES_A_CALL
-        for tried in self._tried(self.numbers, at_once, self.deadline):
+        for tried in self._tried(self.numbers, 1 if self.here else EXAMPLES_A_CALL, self.deadline):
             self._record(tried)
             self.outcome.last_example, self.outcome.seconds = tried.number, time.monotonic() - start
             yield self.outcome

@@ -175,7 +175,6 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
             "depth along z, the view axis, in place of t along the ray",
             "divide by the cosine of the ray with the view axis; of an image: --depth z",
             lambda g: (unit(g.d) @ axis * g.t, unit(g.d) @ axis),
-            single=True,
         )
     yield from _fitted_quantities(f)
     if _claims_float64(f):

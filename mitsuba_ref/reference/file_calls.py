@@ -218,15 +218,13 @@ def texture(parsed: Parsed, number: int) -> dict[str, Any] | None:
         colors = {name: color(props, name, default) for name, default in CHECKERBOARD.items()}
         found = colors if all(colors.values()) else None
     elif plugin == "mesh_attribute" and (name := props["name"]) in MESH_COLORS and props.get("scale", 1.0) == 1.0:
-        parsed.textures[number] = {"type": "mesh_colors", "attribute": name, "of": MESH_COLORS[name]}
-        return parsed.textures[number]
+        return parsed.textures.setdefault(number, {"type": "mesh_colors", "attribute": name, "of": MESH_COLORS[name]})
     elif plugin == "bitmap" and _is_picture(_path(props)):
         found = {"filter": props.get("filter_type", "bilinear"), "wrap": props.get("wrap_mode", "repeat")}
     if props.has_property("to_uv"):  # of which Mitsuba, too, takes no more than u and v
         matrix[:2, [0, 1, 3]] = np.array(_matrix(props["to_uv"]))[:2, [0, 1, 3]]
     if found and matrix[0, 0] * matrix[1, 1] != matrix[0, 1] * matrix[1, 0]:
-        parsed.textures[number] = {"type": plugin, **found, "to_uv": [{"matrix": matrix.tolist()}]}
-        return parsed.textures[number]
+        return parsed.textures.setdefault(number, {"type": plugin, **found, "to_uv": [{"matrix": matrix.tolist()}]})
     unread = f"cannot read {props.get('filename', 'the file')} of " if plugin == "bitmap" and found is None else ""
     parsed.unlit.append(f"{unread}texture {plugin} at {parsed.place(number)}")
     return None

@@ -1,6 +1,7 @@
 """A candidate that is a Python function: function(scene, o, d) -> (t, n), or with limits and ids."""
 
 import contextlib
+import faulthandler
 import importlib
 import inspect
 import os
@@ -41,7 +42,8 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
 def imported(text: str) -> Callable[..., Any]:
     """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")
-    here = str(Path.cwd())
+    module, here = module.removesuffix(".py"), str(Path.cwd())
+    faulthandler.enable()  # says where the function is when machine code ends the process
     if here not in sys.path:
         sys.path.insert(0, here)
     try:

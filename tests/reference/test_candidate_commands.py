@@ -182,6 +182,7 @@ def test_an_image_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_p
 UNASKABLE = [
     ("renderer", "expected package.module:function, or a command"),
     ("no.such.module:trace", "there is no module no.such.module: looked in "),
+    ("nothing.py:trace", "there is no module nothing: looked in "),
     ("math:no_such", "math has no 'no_such'"),
     ("math:pi", "expected a function, got float"),
     ("no-such-program {xml} -o {exr}", "there is no program 'no-such-program' to run"),
