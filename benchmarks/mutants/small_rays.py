@@ -24,7 +24,7 @@ from caster.rendering import ray_fans
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.ray_fans import SAMPLED_RAYS, RayRows
-from caster.rendering.ray_tiles import TileCaster, new_ray_groups
+from caster.rendering.ray_tiles import TileCaster, TileWorkspace
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
 
@@ -76,7 +76,7 @@ def test_fans_find_the_shadows_that_brute_force_finds(number):
     kept = kept[all_rays.t_max[kept] >= 0.0]
     some = np.full(SHADOW_RAYS, -1.0)
     some[kept] = all_rays.t_max[kept]
-    tile, groups = tile_of(all_rays._replace(t_max=some)), new_ray_groups()
+    tile, groups = tile_of(all_rays._replace(t_max=some)), TileWorkspace().ray_groups
     TileCaster(arrays, any_hit=True, light=light, rays=SHADOW_RAYS).begin(tile, groups)(SHADOW_RAYS)
     decide_shadows(arrays, tile, SHADOW_RAYS)
     expected = find_nearest(arrays, Rays(*(a[kept] for a in all_rays)), "brute-force", 1).prim >= 0
