@@ -128,7 +128,7 @@ def _textureless(record: Mapping[str, Any], shape: Shape, instance: Any) -> str:
         return ""
     if texture["type"] != "mesh_colors":
         return shape.without_uv()
-    return "Mitsuba interpolates colours of an instance elsewhere" if instance is not None else ""
+    return "Mitsuba interpolates colours of an instance elsewhere" if instance else ""
 
 
 def _pieces(found: OpenResponse, name: str) -> list[Array]:

@@ -43,7 +43,7 @@ def imported(text: str) -> Callable[..., Any]:
     """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")
     module, here = module.removesuffix(".py"), str(Path.cwd())
-    faulthandler.enable()  # says where the function is when machine code ends the process
+    faulthandler.enable(2)  # says where the function is when machine code ends the process
     if here not in sys.path:
         sys.path.insert(0, here)
     try:
