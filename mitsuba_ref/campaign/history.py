@@ -50,21 +50,28 @@ class History:
         """create: make the file if there is none. Raises OutputError for a file that is no history, or damaged."""
         self.path = Path(path)
         self._lock = threading.Lock()
-        if not (self.path.is_file() or (create and not self.path.exists())):
+        new = not self.path.exists()
+        if not (self.path.is_file() or (create and new)):
             raise OutputError(f"{path}: expected the history of a campaign, found no such file; a run writes it")
-        with self._errors():
-            self.database = sqlite3.connect(
-                self.path, timeout=WAIT_SECONDS, check_same_thread=False, isolation_level=None
-            )
-            self.database.row_factory = sqlite3.Row
-            if create and not self.database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-                self.database.executescript(f"BEGIN IMMEDIATE; {SCHEMA} COMMIT;")
-            pragmas = "SELECT application_id, user_version FROM pragma_application_id, pragma_user_version"
-            if tuple(self.database.execute(pragmas).fetchone()) != (APPLICATION, VERSION):
-                what = f"expected the history of a campaign, of version {VERSION}; this is another database"
-                raise OutputError(f"{self.path}: {what}")
-            if (check := self.database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-                raise sqlite3.DatabaseError(check)
+        try:
+            with self._errors():
+                self.database = sqlite3.connect(
+                    self.path, timeout=WAIT_SECONDS, check_same_thread=False, isolation_level=None
+                )
+                self.database.row_factory = sqlite3.Row
+                if create and not self.database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                    self.database.executescript(f"BEGIN IMMEDIATE; {SCHEMA} COMMIT;")
+                pragmas = "SELECT application_id, user_version FROM pragma_application_id, pragma_user_version"
+                if tuple(self.database.execute(pragmas).fetchone()) != (APPLICATION, VERSION):
+                    raise OutputError(
+                        f"{path}: expected the history of a campaign, of version {VERSION}; this is another database"
+                    )
+                if (check := self.database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                    raise sqlite3.DatabaseError(check)
+        except OutputError:
+            if new:  # a full disk
+                self.path.unlink(missing_ok=True)
+            raise
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
@@ -73,10 +80,8 @@ class History:
         except sqlite3.OperationalError as error:  # a full disk, no permission, a lock
             raise OutputError(f"{self.path}: cannot be used: {error}; what was finished before is kept") from error
         except sqlite3.DatabaseError as error:
-            way_out = "move it away, and the next run begins a new one"
-            raise OutputError(
-                f"{self.path}: not a history of a campaign, or a damaged one: {error}; {way_out}"
-            ) from error
+            what = f"{self.path}: not a history of a campaign, or a damaged one: {error}"
+            raise OutputError(f"{what}; move it away, and the next run begins a new one") from error
 
     def __enter__(self) -> Self:
         return self

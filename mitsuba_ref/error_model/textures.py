@@ -47,7 +47,8 @@ def _mesh_ratio(texture: Any, part: Any, at: ColoredPoints, ku: float) -> Array:
     faces = part.faces[at.prim]
     corners = part.vertices[faces]
     colors = np.asarray(texture.vertices)[faces] if texture.faces is None else np.asarray(texture.faces)[at.prim, None]
-    first, others = colors[:, 0], colors[:, 1:] if texture.faces is None else np.repeat(colors, 2, axis=1)
+    colors = np.broadcast_to(colors, corners.shape)
+    first, others = colors[:, 0], colors[:, 1:]
     edges, x = corners[:, 1:] - corners[:, :1], at.p - corners[:, 0]
     gram, along = np.einsum("nik,njk->nij", edges, edges), np.einsum("nik,nk->ni", edges, x)
     (uu, uv), vv = gram[:, 0].T, gram[:, 1, 1]

@@ -162,8 +162,9 @@ class FuzzRun:
         source = iter(numbers)
         batches, again = itertools.tee(iter(lambda: tuple(itertools.islice(source, at_once)), ()))
         calls = ((self.drawing, each) for each in itertools.takewhile(lambda _: time.monotonic() < deadline, again))
-        workers = 1 if self.here else self.workers
-        with closing(outcomes_of(self.engine, workers, try_examples, calls, forks=not self.here)) as outcomes:
+        with closing(
+            outcomes_of(self.engine, 1 if self.here else self.workers, try_examples, calls, forks=not self.here)
+        ) as outcomes:
             for outcome, batch in zip(outcomes, batches, strict=False):
                 if not isinstance(outcome.error, CallEnded):
                     yield from outcome.value()
