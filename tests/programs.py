@@ -22,6 +22,8 @@ def run_program(path: Path, folder: Path) -> str:
         done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, f"{path.name}:\n{done.stdout}{done.stderr}"
         return done.stdout
+    for file in folder.glob("*.py"):
+        sys.modules.pop(file.stem, None)  # another test's, of the same name
     modules, out = set(sys.modules), io.StringIO()
     sys.path.insert(0, str(folder))
     try:
