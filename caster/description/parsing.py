@@ -182,7 +182,7 @@ def located_error(
     """The first diagnostics, each with its line, and how many more; FileMissing if nothing else is wrong."""
     located = sorted((place(each.path), each.text) for each in problems)
     kind = FileMissing if all(each.missing for each in problems) else SceneError
-    return kind(list_errors(located, lambda found: format_excerpt(*found, text, origin), origin))  # type: ignore[call-arg]  # two
+    return kind(list_errors(located, lambda found: format_excerpt(*found, text, origin), origin))  # type: ignore[call-arg]  # place, text
 
 
 def list_errors(errors: Sequence[Any], format_error: Callable[[Any], str], origin: str) -> str:

@@ -136,8 +136,8 @@ def run_export(args: argparse.Namespace) -> int:
     path = exported.write(folder)
     print(f"{path}: {len(scene.shapes)} shapes, {len(exported.meshes)} mesh files")
     if args.toml:
-        traced = scene_as_traced(scene, packed_float32(scene), folder)
-        write_text(folder / "scene.toml", to_toml(traced, folder.resolve()))
+        home = folder.resolve()  # so that the scene names its meshes relative to itself
+        write_text(folder / "scene.toml", to_toml(scene_as_traced(scene, packed_float32(scene), home), home))
         print(f"{folder / 'scene.toml'}: the same with the float32 values that are traced")
     for note in exported.notes:
         print_lines(f"note: {note}")
