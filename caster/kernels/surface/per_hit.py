@@ -229,6 +229,10 @@ def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
     """The hit of pixel i. The compiler leaves out fields that the AOV does not read."""
     o, d = ray_of(tile, i)
     k = int(tile[PRIM + i])
+    # Variables, because Numba unifies their types, but not those of two return statements, which CPython 3.12 makes of
+    # a conditional expression inside of one.
+    shape = int(ids.shape[k]) if len(ids.shape) > 0 else -1
+    prim = int(ids.prim[k]) if len(ids.prim) > 0 else -1
     return Hit(
         o,
         d,
@@ -240,8 +244,8 @@ def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
         (buffer[UV + i], buffer[UV + i + ONE]),
         get(buffer, ALBEDO + i),
         get(buffer, RADIANCE + i),
-        int(ids.shape[k]) if len(ids.shape) > 0 else -1,
-        int(ids.prim[k]) if len(ids.prim) > 0 else -1,
+        shape,
+        prim,
     )
 
 
