@@ -137,8 +137,7 @@ def test_boxes_without_bounds_come_last_and_spoil_no_others():
     assert sorted(found.box.tolist()) == endless.tolist() and np.isneginf(found.near).all()
 
 
-def test_every_box_is_grown_by_the_margin_of_its_farthest_corner(monkeypatch):
-    monkeypatch.setattr(boxes, "BOXES_PER_CHUNK", 8)
+def test_every_box_is_grown_by_the_margin_of_its_farthest_corner():
     low = np.random.default_rng(114).uniform(-9.0, 9.0, (20, 3))
     order, scale = np.arange(20)[::-1], boxes.COORDINATE_SCALE
     grown = boxes.grown_columns(low, low + 1.0, order, 0.125)

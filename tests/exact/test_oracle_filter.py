@@ -16,7 +16,7 @@ COUNT = 300
 def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     """(pairs that meet and are sorted out, or met before `near`; pairs that meet; pairs that are sorted out)."""
     prims, o, d = aim(kind, scale, seed, COUNT)
-    (part,) = Oracle(packed(prims)).primitives.parts
+    (part,) = Oracle(packed(prims)).parts
     kept, near = np.zeros(COUNT, bool), np.full(COUNT, math.inf)
     for found in BoxTree(*part.kind.boxes(prims), BOX_MARGIN).crossings(o, d, -math.inf):
         own = found.ray == found.box
@@ -63,5 +63,5 @@ def test_few_faces_are_left_for_whole_numbers():
     corners = bumpy(187, 187)
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, np.random.default_rng(1), 300)
-    left = [len(near) for near in oracle.primitives.candidates(o, d, np.zeros(300), np.full(300, math.inf))]
+    left = [len(near) for near in oracle.candidates(o, d, np.zeros(300), np.full(300, math.inf))]
     assert len(left) == 300 and 1.0 <= np.mean(left) <= 30.0 and max(left) <= 600, (np.mean(left), max(left))

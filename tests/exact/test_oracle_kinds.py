@@ -44,7 +44,7 @@ def agrees(found, expected) -> bool:
 def disagreements(kind: str, scale: str, seen: Counter, seed: int = 1, count: int = COUNT) -> int:
     """Of `count` pairs, those where oracle and Fractions differ; counts what was met."""
     prims, o, d = aim(kind, scale, seed, count)
-    (part,), wrong = Oracle(packed(prims)).primitives.parts, 0
+    (part,), wrong = Oracle(packed(prims)).parts, 0
     for i, ray in enumerate(integer_rays(o, d)):
         found, expected = part.intersect(i, ray), oracle_fractions.roots(prims, i, o[i], d[i])
         wrong += not agrees(found, expected)

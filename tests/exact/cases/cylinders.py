@@ -7,7 +7,6 @@ import numpy as np
 from cases import integer_shapes
 from cases.case import Case, Maker, Question
 from cases.shapes import turn
-from cases.spheres import tangents
 from caster import Cylinder
 
 TUBES = (integer_shapes.cylinder, integer_shapes.elliptic)
@@ -47,14 +46,6 @@ def parallel(make: Maker) -> Iterator[Question]:
     yield make.ask("upright", [Cylinder()], o, (0.0, 0.0, 1.0), never=("hit",))
 
 
-def tangent_tubes(make: Maker) -> Iterator[Question]:
-    """Touched exactly, and with the ray's origin moved by a unit in the last place."""
-    for each, o, d in tangents(make, TUBES):
-        yield make.ask(f"{each.kind}, touched", [each.shape], o, d, tangent=10, exact=15, never=("miss",))
-        for step in (-1, 1):
-            yield make.ask(f"{each.kind}, step {step}", [each.shape], make.beside(o, step), d, hit=1, miss=1)
-
-
 def ends(make: Maker) -> Iterator[Question]:
     """At z = 0, -0, 1, one unit in the last place around them, and the smallest numbers around 0."""
     least = 2.0**-149 if make.single else 2.0**-1074
@@ -87,11 +78,5 @@ EXACT = "exact"
 CASES = (
     Case(53, "from inside, nearly along the axis", EXACT, along_the_axis),
     Case(54, "parallel to the axis, exactly", "a miss, inside, outside and within the wall", parallel),
-    Case(
-        55,
-        "a cylinder touched exactly, and one unit in the last place beside",
-        "a hit (closed), decided in integers",
-        tangent_tubes,
-    ),
     Case(56, "the ends, and one unit in the last place beside", "0 <= z <= 1, decided in integers", ends),
 )

@@ -63,11 +63,9 @@ def huge(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{kind} of size {size:g}", scene, o, d, hit=5, miss=5)
 
 
-def tangents(
-    make: Maker, makers: tuple = integer_shapes.ROUND
-) -> Iterator[tuple[integer_shapes.Whole, np.ndarray, np.ndarray]]:
+def tangents(make: Maker) -> Iterator[tuple[integer_shapes.Whole, np.ndarray, np.ndarray]]:
     """Rays that touch in one point, exactly: from some whole steps before it, at any slope."""
-    for each in integer_shapes.each(make.rng, makers, 3):
+    for each in integer_shapes.each(make.rng, integer_shapes.ROUND, 3):
         rows = make.rng.integers(0, len(each.p), make.count(24))
         if "cylinder" in each.kind:  # along its wall, there is nothing to touch
             rows = rows[np.cross(each.tangent[rows], each.shape.matrix[:3, 2]).any(axis=1)]
