@@ -72,12 +72,6 @@ def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement
     return sensor
 
 
-def pinhole_amplification(camera: Pinhole, film: Film) -> float:
-    """Film positions are rounded when multiplied by the tangent, and offsets when added."""
-    px, py = camera.principal_point
-    return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
-
-
 def pinhole_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     planes = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.3 else {}
     if rng.random() < 0.2:
@@ -86,7 +80,14 @@ def pinhole_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     return {**view(), "fov": fov, **planes}
 
 
-PINHOLE = CameraReference(Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields)
+PINHOLE = CameraReference(
+    Pinhole,
+    pinhole_rays,
+    pinhole_to_xml,
+    # film positions are rounded when multiplied by the tangent, and offsets when added
+    lambda camera, film: 1.0 + max(half_extents(camera, film)) * sum(map(abs, camera.principal_point), 1.0),
+    pinhole_random_fields,
+)
 
 
 def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> Rays:
@@ -99,10 +100,6 @@ def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> R
     return Rays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
 
 
-def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
-    return sensor_xml("orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0))
-
-
 def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     """Widths such that a pixel is 1/8 to 1/2 of a shape, so that many rays hit edges of lattice shapes exactly."""
     width = size * float(2.0 ** rng.integers(-1, 3))
@@ -111,7 +108,12 @@ def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Field
 
 
 ORTHOGRAPHIC = CameraReference(
-    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields
+    Orthographic,
+    orthographic_rays,
+    lambda camera, film, limits: sensor_xml(
+        "orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0)
+    ),
+    random_fields=orthographic_random_fields,
 )
 
 

@@ -175,21 +175,23 @@ def random_cloud(rng: Rng, lattice: bool) -> Fields:
     return {"centers": centers, "radii": [random_length(rng, lattice) for _ in range(count)]}
 
 
-TANGENT = KnownDefect(
-    4,
-    "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
-    5,
-    lambda m: "tangent" in m.where,
-    "missed",
+DEFECTS = (
+    STARTS_ON_CURVED,
+    KnownDefect(
+        4,
+        "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
+        5,
+        lambda m: "tangent" in m.where,
+        "missed",
+    ),
+    KnownDefect(2, "a sphere that is small and far away", 17, small_and_far),
+    KnownDefect(
+        9,
+        "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
+        19,
+        lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
+    ),
 )
-SMALL_AND_FAR = KnownDefect(2, "a sphere that is small and far away", 17, small_and_far)
-FAR_FROM_ORIGIN = KnownDefect(
-    9,
-    "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
-    19,
-    lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
-)
-DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
