@@ -108,11 +108,9 @@ intersect_ellipsoid = partial(intersect_round, ends=False)
 
 
 def describe_spheres(part: Spheres, file: Path) -> Fields:
-    """A cloud of spheres from a binary PLY file of float64 centres and radii."""
-    points = np.column_stack([part.center, part.radius]).astype("<f8")
-    properties = "".join(f"property double {name}\n" for name in ("x", "y", "z", "radius"))
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
-    write_bytes(file, head.encode() + points.tobytes())
+    """A cloud of spheres of float32 numbers, from a binary PLY file."""
+    x, y, z = part.center.T
+    write_bytes(file, float_columns({"x": x, "y": y, "z": z, "radius": part.radius}))
     return {"type": "spheres", "file": str(file)}
 
 
@@ -199,7 +197,6 @@ SPHERES = PrimitiveReference(
     lambda part, k: {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])},
     on_spheres,
     describe_all=describe_spheres,
-    numbers=lambda part, k: [part.center[k], part.radius[k]],  # not the rotation, which only uv depend on
     rounding_groups=(by_approach,),
     rounding_groups_llvm=(by_center,),
     known_defects=DEFECTS,

@@ -101,23 +101,11 @@ def view_triangle(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectVie
     )
 
 
-def numbers_of_triangle(part: Triangles, k: int) -> list[Array]:
-    """Corners, and normals and uv if they are used."""
-    corners = part.faces[k]
-    numbers = [part.vertices[corners], part.smooth[k], part.textured[k]]
-    if part.smooth[k]:
-        numbers.append(part.normals[corners])
-    if part.textured[k]:
-        numbers.append(part.uv[corners])
-    return numbers
-
-
 TRIANGLES = PrimitiveReference(
     Triangles,
     MODEL,
     describe_triangle,
     on_triangles,
-    numbers=numbers_of_triangle,
     rounding_groups=(by_normal,),
     position_terms=lambda part, k, weights, p: np.einsum(
         "ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]])
