@@ -61,8 +61,9 @@ class BoxTree:
         order = np.append(boxed[morton_order(*ends)], np.flatnonzero(~bounded))
         self.margin, self.order = margin, order if numbers is None else numbers[order]
         whole = np.append(order, np.repeat(order[-1:], -len(order) % BRANCHING_FACTOR))
-        grown_low, grown_high = grown_columns(low, high, whole, margin)
-        self.levels = box_levels(grown_low, grown_high, len(order))
+        below, above = (COORDINATE_SCALE * corner[whole].T for corner in (low, high))
+        pad = margin * np.maximum(np.abs(below), np.abs(above)).max(axis=0) + SMALLEST_MARGIN
+        self.levels = box_levels(below - pad, above + pad, len(order))
 
     def crossings(
         self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = np.inf
@@ -137,13 +138,6 @@ def box_levels(low: np.ndarray, high: np.ndarray, boxes: int) -> list[BoxLevel]:
         low = np.pad(level.low.min(axis=2), missing, mode="edge")
         high = np.pad(level.high.max(axis=2), missing, mode="edge")
     return levels
-
-
-def grown_columns(low: np.ndarray, high: np.ndarray, order: np.ndarray, margin: float) -> np.ndarray:
-    """(2, 3, n) corners of the boxes in this order, scaled, and grown by the margin of their farthest corner."""
-    below, above = (COORDINATE_SCALE * corner[order].T for corner in (low, high))
-    pad = margin * np.maximum(np.abs(below), np.abs(above)).max(axis=0) + SMALLEST_MARGIN
-    return np.array([below - pad, above + pad])
 
 
 def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
