@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -39,11 +38,7 @@ def to_xml(out: ShapeWriter, shape: LinearCurve, part: RoundSegments) -> list[Xm
         if k == 0 or (start != part.end[k - 1]).any() or part.radius[k, 0] != part.radius[k - 1, 1]:
             lines += ["", format_floats([*start, part.radius[k, 0]])]
         lines.append(format_floats([*end, part.radius[k, 1]]))
-    element = Element("shape", type="linearcurve", id=out.name)
-    file = out.file("txt", "\n".join([*lines[1:], ""]).encode())
-    SubElement(element, "string", name="filename", value=file)
-    element.append(out.material(shape))
-    return [element]
+    return [out.from_file(shape, "linearcurve", "txt", "\n".join([*lines[1:], ""]).encode())]
 
 
 @without_float_warnings

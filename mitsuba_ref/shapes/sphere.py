@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -239,12 +239,8 @@ def ellipsoids_to_xml(out: ShapeWriter, shape: EllipsoidCloud, part: OuterEllips
     turn, radii, _ = np.linalg.svd(part.to_world)
     x, y, z, w = as_quaternions(turn * np.linalg.det(turn)[:, None, None]).T  # mirrored, an ellipsoid is the same
     columns = [*part.center.T, *np.zeros((3, len(radii))), *radii.T, x, y, z, w, *np.log(radii).T, w, x, y, z]
-    file = out.file("ply", float_columns(dict(zip(PROPERTIES, columns, strict=True))))
-    element = Element("shape", type="ellipsoids", id=out.name)
-    SubElement(element, "string", name="filename", value=file)
-    SubElement(element, "float", name="extent", value="1")
-    element.append(out.material(shape))
-    return [element]
+    content = float_columns(dict(zip(PROPERTIES, columns, strict=True)))
+    return [out.from_file(shape, "ellipsoids", "ply", content, [Element("float", name="extent", value="1")])]
 
 
 def as_quaternions(turn: Array) -> Array:
