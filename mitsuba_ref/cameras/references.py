@@ -18,7 +18,6 @@ from mitsuba_ref.cameras.camera_reference import (
     clip_planes,
     eye_origins,
     rays_from_eye,
-    sensor_pose,
     to_world_directions,
 )
 from mitsuba_ref.error_model.intersections import Array, Rays, stacked_columns
@@ -51,11 +50,13 @@ def pinhole_rays(camera: Pinhole, film: Film, x: Array, y: Array) -> Rays:
     return Rays(eye_origins(camera, len(x)), to_world_directions(camera, local), camera.near * length, far * length)
 
 
-def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[Array, Array]) -> XmlElement:
+def sensor_xml(kind: str, camera: Camera, numbers: Mapping[str, float], scale: float = 1.0) -> XmlElement:
+    """A sensor of Mitsuba, whose x axis points to the left of the image. scale: of the image plane."""
+    right, up, forward = camera_axes(camera)
     sensor = Element("sensor", type=kind)
     for name, value in numbers.items():
         SubElement(sensor, "float", name=name, value=repr(float(value)))
-    sensor.append(matrix_element(*pose))
+    sensor.append(matrix_element(np.array(camera.eye), np.column_stack([-right * scale, up * scale, forward])))
     return sensor
 
 
@@ -67,7 +68,7 @@ def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement
         "principal_point_offset_x": px,
         "principal_point_offset_y": py,
     }
-    sensor = sensor_xml("perspective", numbers, sensor_pose(camera))
+    sensor = sensor_xml("perspective", camera, numbers)
     sensor.insert(0, Element("string", name="fov_axis", value="x"))
     return sensor
 
@@ -110,9 +111,7 @@ def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Field
 ORTHOGRAPHIC = CameraReference(
     Orthographic,
     orthographic_rays,
-    lambda camera, film, limits: sensor_xml(
-        "orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0)
-    ),
+    lambda camera, film, limits: sensor_xml("orthographic", camera, clip_planes(camera, limits), camera.width / 2.0),
     random_fields=orthographic_random_fields,
 )
 
