@@ -23,7 +23,7 @@ def intersect_plane(plane: Sequence[Integers3], bits: int, ray: IntegerRay) -> R
 
 
 PLANES = ExactKind(
-    boxes=lambda prims: boxes_around(prims.point, np.inf),
+    boxes=lambda prims: boxes_around(prims.point, np.inf),  # all of space
     vectors=lambda prims, k: np.stack([prims.normal[k], prims.point[k]], axis=-2),
     intersect=intersect_plane,
     surface=lambda plane: ImplicitSurface(plane[1], (plane[0],)),
@@ -66,6 +66,7 @@ TRIANGLES = ExactKind(
     triangle_boxes,
     vectors=lambda prims, k: prims.vertices[prims.faces[k]],
     intersect=intersect_triangle,
+    # all but faces with a corner that is nowhere
     present=lambda prims: np.isfinite(prims.vertices).all(axis=1)[prims.faces].all(axis=1),
     surface=triangle_surface,
 )
@@ -222,6 +223,7 @@ def affine_surface(affine: Sequence[Vector], used: slice = slice(3), *, flat: bo
 
 SPHERES = ExactKind(
     boxes=lambda prims: boxes_around(prims.center, prims.radius[:, None]),
+    # the centre, and the radius three times
     vectors=lambda prims, k: np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2),
     intersect=intersect_sphere,
     surface=lambda sphere: ImplicitSurface(sphere[0], size=sphere[1][0]),
@@ -229,11 +231,13 @@ SPHERES = ExactKind(
 # Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
 SEGMENTS = ExactKind(
     segment_boxes,
+    # start and end, and the radii there, the second twice
     vectors=lambda prims, k: np.stack([prims.start[k], prims.end[k], prims.radius[k][..., [0, 1, 1]]], axis=-2),
     intersect=enter_segment,
 )
 ELLIPSOIDS = ExactKind(
     affine_boxes,
+    # the centre and the columns of the matrix
     vectors=lambda prims, k: np.concatenate(
         [prims.center[k][..., None, :], prims.to_world[k].swapaxes(-1, -2)], axis=-2
     ),

@@ -249,7 +249,9 @@ TRIANGLE = triangle_mesh_reference(
 MESH = triangle_mesh_reference(
     Mesh,
     random_mesh,
-    lambda shape, part: expected_mesh(shape, part) if shape.file else expected_arrays(shape, part, shape.faces),
+    lambda shape, part: (
+        expected_mesh(shape, part) if shape.file is not None else expected_arrays(shape, part, shape.faces)
+    ),
 )
 RECTANGLE = triangle_mesh_reference(Rectangle, groups=FLAT_AND_SMALL)
 CUBE = triangle_mesh_reference(Cube, groups=("flat", "mesh"))
