@@ -90,9 +90,3 @@ def eye_origins(camera: Camera, count: int) -> Array:
 def rays_from_eye(camera: Camera, d: Array, defined: Array) -> Rays:
     """Rays from the eye along d (n, 3), without near or far plane; no ray where `defined` (n,) is False."""
     return Rays(eye_origins(camera, len(d)), d, np.zeros(len(d)), np.where(defined, np.inf, -1.0))
-
-
-def sensor_pose(camera: Camera, scale: float = 1.0) -> tuple[Array, Array]:
-    """(eye, 3x3 matrix) for Mitsuba's sensors, whose x axis points to the left of the image."""
-    right, up, forward = camera_axes(camera)
-    return np.array(camera.eye), np.column_stack([-right * scale, up * scale, forward])

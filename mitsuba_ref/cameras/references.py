@@ -18,7 +18,6 @@ from mitsuba_ref.cameras.camera_reference import (
     clip_planes,
     eye_origins,
     rays_from_eye,
-    sensor_pose,
     to_world_directions,
 )
 from mitsuba_ref.error_model.intersections import Array, Rays, stacked_columns
@@ -51,11 +50,13 @@ def pinhole_rays(camera: Pinhole, film: Film, x: Array, y: Array) -> Rays:
     return Rays(eye_origins(camera, len(x)), to_world_directions(camera, local), camera.near * length, far * length)
 
 
-def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[Array, Array]) -> XmlElement:
+def sensor_xml(kind: str, camera: Camera, numbers: Mapping[str, float], scale: float = 1.0) -> XmlElement:
+    """A sensor of Mitsuba, whose x axis points to the left of the image. scale: of the image plane."""
+    right, up, forward = camera_axes(camera)
     sensor = Element("sensor", type=kind)
     for name, value in numbers.items():
         SubElement(sensor, "float", name=name, value=repr(float(value)))
-    sensor.append(matrix_element(*pose))
+    sensor.append(matrix_element(np.array(camera.eye), np.column_stack([-right * scale, up * scale, forward])))
     return sensor
 
 
@@ -67,15 +68,9 @@ def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement
         "principal_point_offset_x": px,
         "principal_point_offset_y": py,
     }
-    sensor = sensor_xml("perspective", numbers, sensor_pose(camera))
+    sensor = sensor_xml("perspective", camera, numbers)
     sensor.insert(0, Element("string", name="fov_axis", value="x"))
     return sensor
-
-
-def pinhole_amplification(camera: Pinhole, film: Film) -> float:
-    """Film positions are rounded when multiplied by the tangent, and offsets when added."""
-    px, py = camera.principal_point
-    return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
 
 
 def pinhole_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
@@ -86,7 +81,14 @@ def pinhole_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     return {**view(), "fov": fov, **planes}
 
 
-PINHOLE = CameraReference(Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields)
+PINHOLE = CameraReference(
+    Pinhole,
+    pinhole_rays,
+    pinhole_to_xml,
+    # film positions are rounded when multiplied by the tangent, and offsets when added
+    lambda camera, film: 1.0 + max(half_extents(camera, film)) * sum(map(abs, camera.principal_point), 1.0),
+    pinhole_random_fields,
+)
 
 
 def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> Rays:
@@ -99,10 +101,6 @@ def orthographic_rays(camera: Orthographic, film: Film, x: Array, y: Array) -> R
     return Rays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
 
 
-def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
-    return sensor_xml("orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0))
-
-
 def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Fields:
     """Widths such that a pixel is 1/8 to 1/2 of a shape, so that many rays hit edges of lattice shapes exactly."""
     width = size * float(2.0 ** rng.integers(-1, 3))
@@ -111,7 +109,10 @@ def orthographic_random_fields(rng: Rng, size: float, view: RandomView) -> Field
 
 
 ORTHOGRAPHIC = CameraReference(
-    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields
+    Orthographic,
+    orthographic_rays,
+    lambda camera, film, limits: sensor_xml("orthographic", camera, clip_planes(camera, limits), camera.width / 2.0),
+    random_fields=orthographic_random_fields,
 )
 
 

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from caster.cli.shared_arguments import comma_separated
@@ -20,6 +20,7 @@ from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aov
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
 from mitsuba_ref.cli.validate import selected_entries
+from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.swept_families import SPAWNED, SWEPT
 from mitsuba_ref.judge.pipeline import Task
@@ -58,7 +59,7 @@ def run_stress(args: argparse.Namespace) -> int:
     done, line = list[SweepResult | OriginSweep](), StatusLine()
     words = options.candidate_words(args)
     about = args.seed, args.rays, args.out, candidate, words, args.spawn
-    calls = ((family, *about) for family in families)
+    calls = ((family.name, family.values, *about) for family in families)
     here = args.engine == LOCAL and (candidate or args.spawn)  # it runs in this process, alone
     workers = 1 if here else args.workers
     try:
@@ -81,7 +82,8 @@ def run_stress(args: argparse.Namespace) -> int:
 
 
 def sweep_family(
-    family: Family,
+    name: str,
+    values: tuple[float, ...],
     seed: int,
     rays: int | None,
     folder: str,
@@ -90,7 +92,8 @@ def sweep_family(
     spawn: str | None,
 ) -> SweepResult | OriginSweep:
     """Sweep a family in this process."""
-    if family in SPAWNED:
+    family = replace(BY_NAME[name], values=values)
+    if any(name == each.name for each in SPAWNED):
         return origins.sweep_origins(family, seed, rays, Path(folder), spawn_rule(spawn) if spawn else None)
     return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
 

@@ -86,17 +86,11 @@ def check_rays(prepared: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng |
         rays = concatenated(rays, with_limits(rng, rays, cast_by_culling(prepared.packed, rays, "bvh")))
     hits = cast(prepared.scene, rays.o, rays.d, t_min=rays.t_min, t_max=rays.t_max)
     ours = nearest_hits(prepared.packed, hits.t, hits.shape_id, hits.prim_id)
-    return [
-        *_differences(rays, ours, cast_by_culling(prepared.packed, rays, "brute-force")),
-        *check_surfaces(hits, rays),
-        *adjudicate(prepared, rays, ours, tally),
-    ]
-
-
-def _differences(rays: RayBatch, ours: NearestHits, slow: NearestHits) -> Iterator[Finding]:
+    slow, findings = cast_by_culling(prepared.packed, rays, "brute-force"), list[Finding]()
     for i in np.flatnonzero(registry.bits_differ(ours.t, slow.t) | (ours.prim != slow.prim)):
         one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, slow))
-        yield Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.row(int(i)))
+        findings.append(Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.row(int(i))))
+    return [*findings, *check_surfaces(hits, rays), *adjudicate(prepared, rays, ours, tally)]
 
 
 def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:

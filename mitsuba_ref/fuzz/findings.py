@@ -64,12 +64,6 @@ class Tally:
             setattr(self, name, getattr(self, name) + value)
 
 
-def first_of_each_kind(findings: list[Finding]) -> list[Finding]:
-    """One finding of each kind, in the order of FINDING_KINDS."""
-    firsts = {finding.kind: finding for finding in reversed(findings)}
-    return [firsts[kind] for kind in FINDING_KINDS if kind in firsts]
-
-
 @dataclass(frozen=True)
 class Failure:
     """A finding whose scene was kept."""

@@ -18,7 +18,7 @@ from caster.geometry.packing import Packed
 from caster.system.cluster import CallEnded
 from mitsuba_ref.fuzz.cases import case_of, write_kept
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answered_types, check_image, check_rays, exception_finding, find
-from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Failure, Finding, Outcome, Tally, first_of_each_kind
+from mitsuba_ref.fuzz.findings import FINDING_KINDS, JUDGED_KINDS, Failure, Finding, Outcome, Tally
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Shrinker
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import Family, HardScene
@@ -96,22 +96,20 @@ class Drawing:
     def tried(self, number: int) -> "Tried":
         """An example, checked."""
         example, tally = self.example(number), Tally(examples=1)
-        if self.candidate and not (example.family.fits_float32 and example.made.data["shape"]):
+        every, family, case = self.judge_every, example.family, case_of(example.made.data)
+        if not self.candidate:
+            drawn = every > 0 and (family.always_judged or example.random(MITSUBA_STREAM).random() * every < 1.0)
+            found = check_example(example, tally, self.rays, thorough=drawn)
+            if drawn and family.fits_float32:
+                found += find(case, "judged", tally)
+        elif family.fits_float32 and example.made.data["shape"]:
+            aims = (None, partial(example.rays, count=self.rays)) if self.candidate.takes_rays else (None,)
+            found = [each for aim in aims for each in find(case, "judged", tally, self.candidate, aim)]
+        else:
             return Tried(number, Tally(), [])
-        findings = first_of_each_kind(self._findings(example, tally))
-        tally.findings = len(findings)
-        tally.kinds.update(finding.kind for finding in findings)
-        return Tried(number, tally, findings)
-
-    def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
-        every, family, case = self.judge_every, tried.family, case_of(tried.made.data)
-        if self.candidate:
-            aims = (None, partial(tried.rays, count=self.rays)) if self.candidate.takes_rays else (None,)
-            return [found for aim in aims for found in find(case, "judged", tally, self.candidate, aim)]
-        drawn = every > 0 and (family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0)
-        findings = check_example(tried, tally, self.rays, thorough=drawn)
-        judged = drawn and family.fits_float32
-        return findings + (find(case, "judged", tally) if judged else [])
+        firsts = {finding.kind: finding for finding in reversed(found)}
+        tally.findings, tally.kinds = len(firsts), Counter(firsts.keys())
+        return Tried(number, tally, [firsts[kind] for kind in FINDING_KINDS if kind in firsts])
 
 
 class Tried(NamedTuple):

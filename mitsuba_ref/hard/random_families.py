@@ -146,10 +146,6 @@ def shapes_of(group: str, most: int) -> Draw:
     return lambda rng, frame: random_shapes(rng, frame, shape_types(group), most)
 
 
-def shared_edges(rng: Rng, frame: Frame) -> Shapes:
-    return triangle_fan(rng, frame) if rng.random() < 0.5 else shapes_of("mesh", 2)(rng, frame)
-
-
 def far_from_origin(rng: Rng) -> Frame:
     """1e3 to 1e9 sizes away."""
     size = log_uniform(rng, 1e-3, 1e3)
@@ -201,17 +197,6 @@ def nearly_similar(rng: Rng, frame: Frame) -> Shapes:
     return shapes
 
 
-def any_magnitude(rng: Rng) -> Frame:
-    """Sizes of 2^-300 to 2^300."""
-    exponent = int(rng.integers(-MAX_EXPONENT, MAX_EXPONENT + 1))
-    return Frame(2.0**exponent, condition=10.0, lattice=coin_flip(rng))
-
-
-def without_rejected_faces(rng: Rng, frame: Frame) -> Shapes:
-    faces_rejected = frame.size > 2.0**LARGEST_EXPONENT_OF_FACES
-    return shapes_of("quadric" if faces_rejected else "bounded", 3)(rng, frame)
-
-
 def of_few_kinds(rng: Rng, frame: Frame) -> Shapes:
     """Shapes of at most two kinds in half of the scenes, so that most kinds occur twice."""
     kinds = tuple(rng.choice(shape_types(), 2)) if rng.random() < 0.5 else shape_types()
@@ -230,7 +215,7 @@ def furnished(rng: Rng, frame: Frame, data: Fields) -> Fields:
 
 # Products of three lengths stay below 2^1024 and, where they are not cancelled by 2^120, above 2^-1022. Faces with a
 # vertex beyond 2^60.6 are rejected (caster.geometry.world_space.LARGEST_COORDINATE), and shapes have some sizes.
-MAX_EXPONENT, LARGEST_EXPONENT_OF_FACES = 300, 55
+MAX_EXPONENT, LARGEST_OF_FACES = 300, 2.0**55
 
 ANY_SHAPES = shapes_of("", 5)
 
@@ -240,7 +225,7 @@ RANDOM: tuple[Family, ...] = (
         "edges",
         "shared edges and corners of meshes",
         random_frame,
-        shared_edges,
+        lambda rng, frame: (triangle_fan if rng.random() < 0.5 else shapes_of("mesh", 2))(rng, frame),
         (rays.at_features, rays.along_axes, rays.between_two_points),
     ),
     random_family(
@@ -308,8 +293,10 @@ RANDOM: tuple[Family, ...] = (
     random_family(
         "magnitudes",
         "scenes and directions of 2^-300 to 2^300",
-        any_magnitude,
-        without_rejected_faces,
+        lambda rng: Frame(
+            2.0 ** int(rng.integers(-MAX_EXPONENT, MAX_EXPONENT + 1)), condition=10.0, lattice=coin_flip(rng)
+        ),
+        lambda rng, frame: shapes_of("quadric" if frame.size > LARGEST_OF_FACES else "bounded", 3)(rng, frame),
         tuple(rays.of_any_length(aim, MAX_EXPONENT) for aim in rays.ALL_AIMS),
         fits_float32=False,
     ),

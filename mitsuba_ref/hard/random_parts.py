@@ -165,7 +165,7 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
         "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: rng.integers(3)]},
     }
     scene |= _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
-    more = rng.spawn(1)[0]
+    more, textures, colors = rng.spawn(3)
     for shape in scene["shape"]:  # half of those of the first material get a copy of it with the other two_sided
         if shape.get("material") == MATERIALS[0] and coin_flip(more):
             first = materials[MATERIALS[0]]
@@ -175,22 +175,19 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
         if more.random() < SPECULAR_SHAPES:
             shape["material"] = str(more.choice(list(SPECULAR)))
             materials[shape["material"]] = SPECULAR[shape["material"]]
-    more = rng.spawn(1)[0]
     for i, shape in enumerate(scene["shape"]):
-        if shape["type"] in TEXTURED and more.random() < TEXTURED_SHAPES:
+        if shape["type"] in TEXTURED and textures.random() < TEXTURED_SHAPES:
             shape["material"] = f"texture-{i}"
-            materials[shape["material"]] = {"reflectance": _texture(more)}
+            materials[shape["material"]] = {"reflectance": _texture(textures)}
         if shape["type"] in ("sphere", "cylinder"):
-            shape |= _sometimes(more, {"flip_normals": True})
-    more = rng.spawn(1)[0]
-    for i, shape in enumerate(scene["shape"]):
+            shape |= _sometimes(textures, {"flip_normals": True})
         if shape["type"] in ("triangle", "mesh"):
-            shape |= _sometimes(more, {"flip_normals": True}, 0.2)
-        if "vertices" in shape and more.random() < TEXTURED_SHAPES:
+            shape |= _sometimes(colors, {"flip_normals": True}, 0.2)
+        if "vertices" in shape and colors.random() < TEXTURED_SHAPES:
             shape["material"] = f"colors-{i}"
-            of = "faces" if "faces" in shape and coin_flip(more) else "vertices"
-            colors = {"type": "mesh_colors", of: more.random((len(shape[of]), 3))}
-            materials[shape["material"]] = {"reflectance": colors, "two_sided": coin_flip(more)}
+            of = "faces" if "faces" in shape and coin_flip(colors) else "vertices"
+            drawn = {"type": "mesh_colors", of: colors.random((len(shape[of]), 3))}
+            materials[shape["material"]] = {"reflectance": drawn, "two_sided": coin_flip(colors)}
     return scene
 
 

@@ -51,11 +51,7 @@ POINT_SHARES = (0.3, 0.3, 0.2, 0.2)  # of the POINT_KINDS
 SIZE_SAMPLES = 64  # points from which the size of a scene is estimated
 
 
-class PrimitivePicks(NamedTuple):
-    """Primitives, one a row: k counts within the shape."""
-
-    shape: Array  # (m,)
-    k: Array  # (m,)
+PrimitivePicks = tuple[Array, Array]  # (m,) shapes, (m,) primitives, counted within each
 
 
 class Targets:
@@ -75,20 +71,19 @@ class Targets:
     def pick(self, count: int) -> PrimitivePicks:
         """Random primitives: a random shape, then one of its primitives."""
         shape = self.rng.choice(np.flatnonzero(self.counts), count)
-        return PrimitivePicks(shape, self.rng.integers(self.counts[shape]))
+        return shape, self.rng.integers(self.counts[shape])
 
     def points(self, picks: PrimitivePicks | int, sort: str | None = None) -> SurfacePoints:
         """A point on each of these primitives, or on so many random ones. sort: one of POINT_KINDS; None: random."""
-        if isinstance(picks, int):
-            picks = self.pick(picks)
-        sorts = np.full(len(picks.k), sort) if sort else self.rng.choice(POINT_KINDS, len(picks.k), p=POINT_SHARES)
-        out = SurfacePoints(*np.zeros((3, len(picks.k), 3)))
-        for shape in np.unique(picks.shape):
+        shapes, k = self.pick(picks) if isinstance(picks, int) else picks
+        sorts = np.full(len(k), sort) if sort else self.rng.choice(POINT_KINDS, len(k), p=POINT_SHARES)
+        out = SurfacePoints(*np.zeros((3, len(k), 3)))
+        for shape in np.unique(shapes):
             part = self.packed.parts[shape]
             for each in np.unique(sorts):
-                rows = np.flatnonzero((picks.shape == shape) & (sorts == each))
+                rows = np.flatnonzero((shapes == shape) & (sorts == each))
                 if len(rows):
-                    found = kind_of(part).surface_points(part, picks.k[rows], self.rng, str(each))
+                    found = kind_of(part).surface_points(part, k[rows], self.rng, str(each))
                     for all_rows, some in zip(out, found, strict=True):
                         all_rows[rows] = some
         return out

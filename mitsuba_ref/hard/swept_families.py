@@ -74,8 +74,8 @@ def balanced(draw: Aim, shape: Fields, candidates: int = CANDIDATES_PER_RAY) -> 
     return hard_scene(aim, shape)
 
 
-def hard_scene(aim: AimRays, shape: Fields) -> HardScene:
-    return HardScene(plain({**NO_VIEW, "shape": [shape]}), aim)
+def hard_scene(aim: AimRays, *shapes: Fields, **more: Any) -> HardScene:
+    return HardScene(plain({**NO_VIEW, "shape": shapes, **more}), aim)
 
 
 def points_around(targets: Targets, count: int) -> SurfacePoints:
@@ -124,10 +124,6 @@ def distant_triangle(rng: Rng, distance: float) -> HardScene:
     """A triangle of about unit size, never the same."""
     corners = np.array([[1.0, 0.1, 0.2], [-0.6, 0.8, -0.3], [-0.4, -0.9, 0.1]]) + rng.normal(scale=0.1, size=(3, 3))
     return seen_from(distance, {"type": "triangle", "vertices": corners})
-
-
-def distant_sphere(rng: Rng, distance: float) -> HardScene:
-    return seen_from(distance, ball(rng, near_origin(rng), 1.0))
 
 
 def of_length(shape: Round, rng: Rng, length: float) -> HardScene:
@@ -296,7 +292,7 @@ SWEPT: tuple[Family, ...] = (
     Family(
         "distance-sphere",
         "how far rays come to a sphere",
-        distant_sphere,
+        lambda rng, distance: seen_from(distance, ball(rng, near_origin(rng), 1.0)),
         "distance over radius",
         (*TENFOLD[1:], 1e8),
         10.0,
@@ -385,7 +381,7 @@ def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> 
             back = np.cos(angle) * perpendicular(rng, n) + np.sin(angle) * n
         return batch(*towards(p + distance * back, p))
 
-    return HardScene(plain({**NO_VIEW, "material": MATERIALS, "shape": shapes}), aim)
+    return hard_scene(aim, *shapes, material=MATERIALS)
 
 
 def nested(center: Array, radius: float, inner: float) -> list[Fields]:
@@ -394,32 +390,18 @@ def nested(center: Array, radius: float, inner: float) -> list[Fields]:
     return [sphere | {"radius": radius}, sphere | {"radius": inner}]
 
 
-def two_walls(rng: Rng, width: float) -> HardScene:
-    return leaving_scene(nested(near_origin(rng), 1.0, 1.0 - width), EYE_DISTANCE)
-
-
 def with_mesh(rng: Rng, center: Array, radius: float) -> list[Fields]:
     """Nested spheres, and triangles of glass beside them."""
     beside = icosphere(rng, center + 2.5 * radius * random_unit_vectors(rng, 1)[0], radius)
     return [*nested(center, radius, INNER_SHARE * radius), beside | {"material": "glass"}]
 
 
-def glass_of_size(rng: Rng, size: float) -> HardScene:
-    return leaving_scene(with_mesh(rng, size * near_origin(rng), size), EYE_DISTANCE * size)
-
-
-def glass_far_away(rng: Rng, offset: float) -> HardScene:
-    return leaving_scene(with_mesh(rng, offset * random_unit_vectors(rng, 1)[0], 1.0), EYE_DISTANCE)
-
-
 def grazing_mirrors(rng: Rng, angle: float) -> HardScene:
     """A sphere and two triangles that do not hide each other."""
     place = [turn(rng), {"translate": near_origin(rng)}]
-    shapes: list[Fields] = [{"type": kind, "material": "mirror"} for kind in ("sphere", "rectangle")]
-    steps = [place, [*place, {"translate": [100.0, 0.0, 0.0]}]]
-    return leaving_scene(
-        [shape | {"to_world": at} for shape, at in zip(shapes, steps, strict=True)], EYE_DISTANCE, angle
-    )
+    sphere = {"type": "sphere", "material": "mirror", "to_world": place}
+    square = {"type": "rectangle", "material": "mirror", "to_world": [*place, {"translate": [100.0, 0.0, 0.0]}]}
+    return leaving_scene([sphere, square], EYE_DISTANCE, angle)
 
 
 SIZES = decades(-12, -9, -6, -5, -4, -3, -2, -1, 0, 3, 6, 9, 12)
@@ -428,7 +410,7 @@ SPAWNED: tuple[Family, ...] = (
     Family(
         "spawn-gap",
         "how near a second surface is: two spheres of glass, one within the other",
-        two_walls,
+        lambda rng, width: leaving_scene(nested(near_origin(rng), 1.0, 1.0 - width), EYE_DISTANCE),
         "distance of the spheres over radius",
         (*TINY[1:4], 4e-5, *TINY[4:]),
         0.1,
@@ -436,12 +418,18 @@ SPAWNED: tuple[Family, ...] = (
     Family(
         "spawn-scale",
         "the size of a scene that rays leave",
-        glass_of_size,
+        lambda rng, size: leaving_scene(with_mesh(rng, size * near_origin(rng), size), EYE_DISTANCE * size),
         "radius, scene units",
         SIZES,
         fits_float32=False,  # Mitsuba takes a sphere of radius 5e-13 for a stretched one
     ),
-    Family("spawn-offset", "how far from the origin rays leave", glass_far_away, OFFSET, TENFOLD),
+    Family(
+        "spawn-offset",
+        "how far from the origin rays leave",
+        lambda rng, away: leaving_scene(with_mesh(rng, away * random_unit_vectors(rng, 1)[0], 1.0), EYE_DISTANCE),
+        OFFSET,
+        TENFOLD,
+    ),
     Family(
         "spawn-grazing",
         "how nearly rays leave a sphere or two triangles along them",

@@ -9,7 +9,6 @@ BRANCHING_FACTOR = 32  # boxes in a box of the next level
 RAYS_PER_BATCH = 1 << 10
 MAX_RAY_BOX_PAIRS = 1 << 20  # tested together; beyond, a batch is split
 GROUPS_PER_CHUNK = 1 << 10  # groups tested at once: temporary arrays of 256 kB stay in a cache
-BOXES_PER_CHUNK = 1 << 16  # boxes processed at once: temporary arrays stay in a cache
 LARGEST_MORTON_CELL = 2**10 - 1
 
 # A ray enters and leaves a box at t = (bound - o) (1 / d). Its four roundings are below 4 u (|bound| + |o|) / |d|,
@@ -62,8 +61,9 @@ class BoxTree:
         order = np.append(boxed[morton_order(*ends)], np.flatnonzero(~bounded))
         self.margin, self.order = margin, order if numbers is None else numbers[order]
         whole = np.append(order, np.repeat(order[-1:], -len(order) % BRANCHING_FACTOR))
-        grown_low, grown_high = grown_columns(low, high, whole, margin)
-        self.levels = box_levels(grown_low, grown_high, len(order))
+        below, above = (COORDINATE_SCALE * corner[whole].T for corner in (low, high))
+        pad = margin * np.maximum(np.abs(below), np.abs(above)).max(axis=0) + SMALLEST_MARGIN
+        self.levels = box_levels(below - pad, above + pad, len(order))
 
     def crossings(
         self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = np.inf
@@ -140,32 +140,15 @@ def box_levels(low: np.ndarray, high: np.ndarray, boxes: int) -> list[BoxLevel]:
     return levels
 
 
-def grown_columns(low: np.ndarray, high: np.ndarray, order: np.ndarray, margin: float) -> np.ndarray:
-    """(2, 3, n) corners of the boxes in this order, scaled, and grown by the margin of their farthest corner."""
-    ends = np.empty((2, 3, len(order)))
-    for start in range(0, len(order), BOXES_PER_CHUNK):
-        rows = order[start : start + BOXES_PER_CHUNK]
-        below, above = (COORDINATE_SCALE * corner[rows].T for corner in (low, high))
-        pad = margin * np.maximum(np.abs(below), np.abs(above)).max(axis=0) + SMALLEST_MARGIN
-        ends[:, :, start : start + len(rows)] = below - pad, above + pad
-    return ends
-
-
 def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Morton order of finite boxes: by the interleaved bits of their centres."""
     if not len(low):
         return np.zeros(0, np.int64)
-    pieces = [slice(start, start + BOXES_PER_CHUNK) for start in range(0, len(low), BOXES_PER_CHUNK)]
-    centres = ((rows, 0.5 * low[rows] + 0.5 * high[rows]) for rows in pieces)
-    ends = np.array([(centre.min(axis=0), centre.max(axis=0)) for _, centre in centres])
-    start = ends[:, 0].min(axis=0)
-    size = np.maximum(0.5 * ends[:, 1].max(axis=0) - 0.5 * start, np.finfo(np.float64).tiny)
-    code = np.zeros(len(low), np.int64)
-    for rows in pieces:
-        away = 0.5 * (0.5 * low[rows] + 0.5 * high[rows]) - 0.5 * start
-        cell = (np.clip(away / size, 0.0, 1.0) * LARGEST_MORTON_CELL).astype(np.int64)
-        code[rows] = sum(spread_bits(cell[:, axis]) << axis for axis in range(3))
-    return np.argsort(code, kind="stable")
+    centre = 0.5 * low + 0.5 * high
+    start = centre.min(axis=0)
+    size = np.maximum(0.5 * centre.max(axis=0) - 0.5 * start, np.finfo(np.float64).tiny)
+    cell = (np.clip((0.5 * centre - 0.5 * start) / size, 0.0, 1.0) * LARGEST_MORTON_CELL).astype(np.int64)
+    return np.argsort(sum(spread_bits(cell[:, axis]) << axis for axis in range(3)), kind="stable")
 
 
 def spread_bits(x: np.ndarray) -> np.ndarray:

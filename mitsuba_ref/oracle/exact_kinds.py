@@ -5,6 +5,7 @@ unit shapes under a matrix by its exact inverse.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +15,6 @@ from mitsuba_ref.oracle.implicit_surfaces import ImplicitSurface, Vector
 from mitsuba_ref.oracle.interface import ExactKind, Roots, boxes_around
 
 
-def plane_vectors(prims: Any, k: Any) -> np.ndarray:
-    return np.stack([prims.normal[k], prims.point[k]], axis=-2)
-
-
 def intersect_plane(plane: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """All p with normal . (p - point) = 0; the scale of the normal does not matter. A ray in the plane misses it."""
     normal, point = plane
@@ -25,28 +22,18 @@ def intersect_plane(plane: Sequence[Integers3], bits: int, ray: IntegerRay) -> R
     return ((Root(height, 0, 0, slope, ray.e), "inside"),) if slope else ()
 
 
-def infinite_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    everywhere = np.full(np.shape(prims.point), np.inf)
-    return -everywhere, everywhere
-
-
 PLANES = ExactKind(
-    infinite_boxes, plane_vectors, intersect_plane, surface=lambda plane: ImplicitSurface(plane[1], (plane[0],))
+    boxes=lambda prims: boxes_around(prims.point, np.inf),  # all of space
+    vectors=lambda prims, k: np.stack([prims.normal[k], prims.point[k]], axis=-2),
+    intersect=intersect_plane,
+    surface=lambda plane: ImplicitSurface(plane[1], (plane[0],)),
 )
-
-
-# Exact ray-triangle intersection by the signs of three determinants.
 
 
 # Embree drops a face with a coordinate as large as this, and so does the oracle.
 LARGEST_COORDINATE = 1844 * 10**15
 
 WHERE = ("inside", "edge", "vertex")  # by the number of edge functions that are 0
-
-
-def corners_of(prims: Any, k: Any) -> np.ndarray:
-    corners: np.ndarray = prims.vertices[prims.faces[k]]
-    return corners
 
 
 def intersect_triangle(corners: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
@@ -65,21 +52,9 @@ def intersect_triangle(corners: Sequence[Integers3], bits: int, ray: IntegerRay)
     return ((Root(dot(a, bc), 0, 0, area, ray.e), WHERE[(u == 0) + (v == 0) + (w == 0)]),)
 
 
-BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at once
-
-
 def triangle_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.empty((len(prims.faces), 3)), np.empty((len(prims.faces), 3))
-    for start in range(0, len(low), BOXES_PER_CHUNK):
-        rows = slice(start, start + BOXES_PER_CHUNK)
-        a, b, c = (prims.vertices[corner] for corner in prims.faces[rows].T)
-        low[rows], high[rows] = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    return low, high
-
-
-def finite_faces(prims: Any) -> np.ndarray:
-    """All but faces with a corner that is nowhere."""
-    return np.isfinite(prims.vertices).all(axis=1)[prims.faces].all(axis=1)
+    a, b, c = (prims.vertices[corner] for corner in prims.faces.T)
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def triangle_surface(corners: Sequence[Vector]) -> ImplicitSurface:
@@ -87,7 +62,14 @@ def triangle_surface(corners: Sequence[Vector]) -> ImplicitSurface:
     return ImplicitSurface(a, (cross(sub(b, a), sub(c, a)),), corners=(a, b, c))
 
 
-TRIANGLES = ExactKind(triangle_boxes, corners_of, intersect_triangle, finite_faces, triangle_surface)
+TRIANGLES = ExactKind(
+    triangle_boxes,
+    vectors=lambda prims, k: prims.vertices[prims.faces[k]],
+    intersect=intersect_triangle,
+    # all but faces with a corner that is nowhere
+    present=lambda prims: np.isfinite(prims.vertices).all(axis=1)[prims.faces].all(axis=1),
+    surface=triangle_surface,
+)
 
 
 class ObjectRay(NamedTuple):
@@ -103,11 +85,6 @@ def cofactors(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
     """(rows of the adjugate, determinant) of the matrix with these columns, in any numbers."""
     rows = cross(b, c), cross(c, a), cross(a, b)
     return rows, dot(a, rows[0])
-
-
-def affine_vectors(prims: Any, k: Any) -> np.ndarray:
-    """The centre and the columns of the matrix."""
-    return np.concatenate([prims.center[k][..., None, :], prims.to_world[k].swapaxes(-1, -2)], axis=-2)
 
 
 def in_object_space(
@@ -151,11 +128,6 @@ def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Roo
     return [Root(-b, side, inside, a, e) for side in ((-1, 1) if inside else (0,))]
 
 
-def sphere_vectors(prims: Any, k: Any) -> np.ndarray:
-    """The centre, and the radius three times."""
-    return np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2)
-
-
 def intersect_sphere(sphere: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """All p with |p - center| = radius."""
     center, (radius, *_) = sphere
@@ -165,11 +137,6 @@ def intersect_sphere(sphere: Sequence[Integers3], bits: int, ray: IntegerRay) ->
 @in_object_space
 def intersect_ellipsoid(ray: ObjectRay) -> Roots:
     return _closed(line_sphere_roots(*ray))
-
-
-def enter_ellipsoid(ellipsoid: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
-    """Where the line enters it."""
-    return intersect_ellipsoid(ellipsoid, bits, ray)[:1]
 
 
 def _closed(roots: list[Root]) -> Roots:
@@ -212,11 +179,6 @@ def height(root: Root, o: int, d: int) -> int:
     return sign_with_root(root.s * o + root.p * d, root.q * d, root.r)
 
 
-def segment_vectors(prims: Any, k: Any) -> np.ndarray:
-    """Start and end, the radii there, of which the second twice."""
-    return np.stack([prims.start[k], prims.end[k], prims.radius[k][..., [0, 1, 1]]], axis=-2)
-
-
 def enter_segment(segment: Sequence[Integers3], bits: int, ray: IntegerRay) -> Roots:
     """Where the line enters the hull: of the cone and both spheres the one root that lies on it.
 
@@ -252,32 +214,38 @@ def segment_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.minimum(low, end_low), np.maximum(high, end_high)
 
 
-def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    return boxes_around(prims.center, prims.radius[:, None])
-
-
-def ellipsoid_surface(affine: Sequence[Vector]) -> ImplicitSurface:
-    """In object space scaled by the determinant; the rows are those of the adjugate."""
+def affine_surface(affine: Sequence[Vector], used: slice = slice(3), *, flat: bool = False) -> ImplicitSurface:
+    """In object space scaled by the determinant; the rows are those of the adjugate. used: the coordinates in it."""
     center, *columns = affine
-    return ImplicitSurface(center, *cofactors(*columns))
-
-
-def cylinder_surface(affine: Sequence[Vector]) -> ImplicitSurface:
-    around = ellipsoid_surface(affine)
-    return around._replace(rows=around.rows[:2])
-
-
-def disk_surface(affine: Sequence[Vector]) -> ImplicitSurface:
-    around = ellipsoid_surface(affine)
-    return ImplicitSurface(around.origin, around.rows[2:])
+    rows, determinant = cofactors(*columns)
+    return ImplicitSurface(center, rows[used], None if flat else determinant)
 
 
 SPHERES = ExactKind(
-    sphere_boxes, sphere_vectors, intersect_sphere, surface=lambda sphere: ImplicitSurface(sphere[0], size=sphere[1][0])
+    boxes=lambda prims: boxes_around(prims.center, prims.radius[:, None]),
+    # the centre, and the radius three times
+    vectors=lambda prims, k: np.stack([prims.center[k], prims.radius[k, None].repeat(3, axis=-1)], axis=-2),
+    intersect=intersect_sphere,
+    surface=lambda sphere: ImplicitSurface(sphere[0], size=sphere[1][0]),
 )
 # Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
-SEGMENTS = ExactKind(segment_boxes, segment_vectors, enter_segment)
-ELLIPSOIDS = ExactKind(affine_boxes, affine_vectors, intersect_ellipsoid, surface=ellipsoid_surface)
-OUTER_ELLIPSOIDS = ELLIPSOIDS._replace(intersect=enter_ellipsoid)
-CYLINDERS = ELLIPSOIDS._replace(intersect=intersect_cylinder, surface=cylinder_surface)
-DISKS = ELLIPSOIDS._replace(intersect=intersect_disk, surface=disk_surface)
+SEGMENTS = ExactKind(
+    segment_boxes,
+    # start and end, and the radii there, the second twice
+    vectors=lambda prims, k: np.stack([prims.start[k], prims.end[k], prims.radius[k][..., [0, 1, 1]]], axis=-2),
+    intersect=enter_segment,
+)
+ELLIPSOIDS = ExactKind(
+    affine_boxes,
+    # the centre and the columns of the matrix
+    vectors=lambda prims, k: np.concatenate(
+        [prims.center[k][..., None, :], prims.to_world[k].swapaxes(-1, -2)], axis=-2
+    ),
+    intersect=intersect_ellipsoid,
+    surface=affine_surface,
+)
+OUTER_ELLIPSOIDS = ELLIPSOIDS._replace(
+    intersect=lambda ellipsoid, bits, ray: intersect_ellipsoid(ellipsoid, bits, ray)[:1]  # where the line enters it
+)
+CYLINDERS = ELLIPSOIDS._replace(intersect=intersect_cylinder, surface=partial(affine_surface, used=slice(2)))
+DISKS = ELLIPSOIDS._replace(intersect=intersect_disk, surface=partial(affine_surface, used=slice(2, 3), flat=True))

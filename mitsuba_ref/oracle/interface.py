@@ -34,7 +34,7 @@ class ExactKind(NamedTuple):
 EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of the arrays; filled by mitsuba_ref.shapes
 
 
-def boxes_around(center: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def boxes_around(center: np.ndarray, reach: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """(low, high) corners center -+ reach, rounded outwards."""
     with np.errstate(over="ignore"):
         return np.nextafter(center - reach, -np.inf), np.nextafter(center + reach, np.inf)

@@ -1,9 +1,9 @@
-"""Exact oracle: the first hit of a ray, computed in integers without rounding, and the index of primitives."""
+"""Exact oracle: the first hit of a ray, computed in integers without rounding."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,72 +16,6 @@ from mitsuba_ref.oracle.interface import EXACT_KINDS, ExactAnswer, ExactHit, Exa
 
 __all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root"]
 
-
-class Oracle:
-    """Exact first hits and roots on the packed primitives of one scene."""
-
-    def __init__(self, packed: Any) -> None:
-        """packed: primitives of a scene, as kinds with `prims` and `ids`.
-
-        Raises OutsideDomain for a primitive with a number that is not finite (faces are dropped instead), and
-        LookupError for a kind without exact arithmetic.
-        """
-        self.primitives = PrimitiveIndex([part_of(kind.prims, np.asarray(kind.ids)) for kind in packed.kinds])
-
-    def first_hit(self, o: ArrayLike, d: ArrayLike, t_min: float = 0.0, t_max: float = math.inf) -> ExactAnswer:
-        """The first hit of the ray o + t d at t_min < t <= t_max. o, d: three floats each.
-
-        Raises OutsideDomain for a ray that is not finite or has no direction.
-        """
-        (answer,) = self.first_hits(o, d, t_min, t_max)
-        return answer
-
-    def first_hits(
-        self, o: ArrayLike, d: ArrayLike, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
-    ) -> list[ExactAnswer]:
-        """First hits of rays o, d (n, 3); t_min, t_max: (n,) or one for all. Faster per ray than first_hit.
-
-        Raises OutsideDomain, naming the first ray that is not finite or has no direction.
-        """
-        o, d = np.asarray(o, np.float64).reshape(-1, 3), np.asarray(d, np.float64).reshape(-1, 3)
-        starts, ends = (np.broadcast_to(np.asarray(t, np.float64), len(o)) for t in (t_min, t_max))
-        check_rays(o, d, starts, ends)
-        candidates = self.primitives.candidates(o, d, starts, ends)
-        rays = zip(integer_rays(o, d), starts.tolist(), ends.tolist(), candidates, strict=True)
-        return [self._first(ray, (start, end), near) for ray, start, end, near in rays]
-
-    def _first(
-        self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
-    ) -> ExactAnswer:
-        """The first hit among candidates sorted by a lower bound of t."""
-        (start, end), best = span, None
-        ties: dict[int, str] = {}
-        for part, k, near in candidates:
-            if best is not None and best < near:
-                break
-            first = next((root for root in part.intersect(k, ray) if root[0] > start), None)
-            if first is None or first[0] > end:
-                continue
-            t, where = first
-            order = -1 if best is None else t.compare(best)
-            if order < 0:
-                best, ties = t, {}
-            if order <= 0:
-                ties.setdefault(int(part.ids[k]), where)
-        return ExactAnswer(best, tuple(ExactHit(*tie) for tie in sorted(ties.items())))
-
-
-def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
-    """The primitives with their exact arithmetic."""
-    if type(prims) not in EXACT_KINDS:
-        raise LookupError(
-            f"{type(prims).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) "
-            "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
-        )
-    return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {})
-
-
-# ---- the index of primitives ----
 
 # Growth of boxes, as a fraction of |o| + their farthest corner: far beyond the rounding of a test, and enough for lines
 # from points that float64 rounded (spawned_origins.py).
@@ -112,13 +46,28 @@ class CandidatePrimitive(NamedTuple):
     near: float
 
 
-class PrimitiveIndex:
-    """All primitives of a scene, array after array; an index counts through all of them."""
+class Oracle:
+    """Exact first hits and roots on the packed primitives of one scene: all of them, array after array.
 
-    def __init__(self, parts: Sequence[PrimitiveArray]) -> None:
-        """Raises OutsideDomain for primitives with numbers that are outside the domain."""
-        for part in parts:
-            check_usable(part)
+    The index of a primitive counts through all arrays.
+    """
+
+    def __init__(self, packed: Any) -> None:
+        """packed: primitives of a scene, as kinds with `prims` and `ids`.
+
+        Raises OutsideDomain for a primitive with a number that is not finite (faces are dropped instead), and
+        LookupError for a kind without exact arithmetic.
+        """
+        parts = []
+        for arrays in packed.kinds:
+            name, kind = type(arrays.prims).__name__, EXACT_KINDS.get(type(arrays.prims))
+            if kind is None:
+                raise LookupError(
+                    f"{name} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) and name it "
+                    "as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
+                )
+            parts.append(PrimitiveArray(kind, arrays.prims, np.asarray(arrays.ids), {}))
+            check_usable(parts[-1])
         self.parts = tuple(parts)
         self.first = np.cumsum([0, *(len(part.ids) for part in parts)])
         present = np.ones(self.first[-1], bool)
@@ -131,6 +80,48 @@ class PrimitiveIndex:
         if not present.all():
             low, high = low[present], high[present]
         self.tree = BoxTree(low, high, BOX_MARGIN, np.flatnonzero(present))
+
+    def first_hit(self, o: ArrayLike, d: ArrayLike, t_min: float = 0.0, t_max: float = math.inf) -> ExactAnswer:
+        """The first hit of the ray o + t d at t_min < t <= t_max. o, d: three floats each.
+
+        Raises OutsideDomain for a ray that is not finite or has no direction.
+        """
+        (answer,) = self.first_hits(o, d, t_min, t_max)
+        return answer
+
+    def first_hits(
+        self, o: ArrayLike, d: ArrayLike, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
+    ) -> list[ExactAnswer]:
+        """First hits of rays o, d (n, 3); t_min, t_max: (n,) or one for all. Faster per ray than first_hit.
+
+        Raises OutsideDomain, naming the first ray that is not finite or has no direction.
+        """
+        o, d = np.asarray(o, np.float64).reshape(-1, 3), np.asarray(d, np.float64).reshape(-1, 3)
+        starts, ends = (np.broadcast_to(np.asarray(t, np.float64), len(o)) for t in (t_min, t_max))
+        check_rays(o, d, starts, ends)
+        candidates = self.candidates(o, d, starts, ends)
+        rays = zip(integer_rays(o, d), starts.tolist(), ends.tolist(), candidates, strict=True)
+        return [self._first(ray, (start, end), near) for ray, start, end, near in rays]
+
+    def _first(
+        self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
+    ) -> ExactAnswer:
+        """The first hit among candidates sorted by a lower bound of t."""
+        (start, end), best = span, None
+        ties: dict[int, str] = {}
+        for part, k, near in candidates:
+            if best is not None and best < near:
+                break
+            first = next((root for root in part.intersect(k, ray) if root[0] > start), None)
+            if first is None or first[0] > end:
+                continue
+            t, where = first
+            order = -1 if best is None else t.compare(best)
+            if order < 0:
+                best, ties = t, {}
+            if order <= 0:
+                ties.setdefault(int(part.ids[k]), where)
+        return ExactAnswer(best, tuple(ExactHit(*tie) for tie in sorted(ties.items())))
 
     def by_part(self, index: np.ndarray) -> Iterator[tuple[PrimitiveArray, np.ndarray, np.ndarray]]:
         """(array, positions in `index` of its primitives, their rows in the array) for each array that has some."""

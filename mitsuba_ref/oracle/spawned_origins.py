@@ -68,8 +68,8 @@ class OriginJudge:
     """Judges origins of rays on the primitives of an oracle."""
 
     def __init__(self, oracle: Oracle) -> None:
-        self.oracle, self.index = oracle, oracle.primitives
-        numbers = np.concatenate([np.zeros(0, np.int64), *(part.ids for part in self.index.parts)])
+        self.oracle = oracle
+        numbers = np.concatenate([np.zeros(0, np.int64), *(part.ids for part in oracle.parts)])
         self.row_of = np.append(np.argsort(numbers), -1)  # by number of a primitive, its index among all rows
 
     def judge(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,7 @@ class OriginJudge:
             right &= np.isfinite(rays.q).all(axis=1) & (rays.p_error.max(axis=1) <= nearby)
             rows = np.flatnonzero(right)
             some = rays.rows(rows)
-            for _, ray, box, _ in self.index.tree.crossings(some.p, some.q - some.p, 0.0, 1.0):
+            for _, ray, box, _ in self.oracle.tree.crossings(some.p, some.q - some.p, 0.0, 1.0):
                 others = box != self.row_of[some.prim[ray]]
                 ray, box = ray[others], box[others]
                 right[rows[ray[~self._clear(some.rows(ray), box)]]] = False
@@ -129,7 +129,7 @@ class OriginJudge:
 
     def _surfaces(self, index: np.ndarray) -> Iterator[tuple[np.ndarray, ImplicitSurface]]:
         """(rows of index, their surfaces) for each array of primitives that has them."""
-        for part, rows, k in self.index.by_part(index):
+        for part, rows, k in self.oracle.by_part(index):
             if part.kind.surface is not None:
                 vectors = part.kind.vectors(part.prims, k).swapaxes(0, 1)
                 yield rows, part.kind.surface([*map(approximate_vector, vectors)])
@@ -147,7 +147,7 @@ class OriginJudge:
             return UNDECIDED, -1
         (line,) = integer_rays(ray.q[None], ray.w[None])
         found, places = 0, points_at(answer.t, ray)
-        for part, _, rows in self.index.by_part(self.row_of[prims]):
+        for part, _, rows in self.oracle.by_part(self.row_of[prims]):
             for k in rows.tolist():
                 of_member = _own_surface(part, k, places, ray, line)
                 found |= of_member if part.ids[k] == ray.prim or not of_member else UNDECIDED
@@ -167,7 +167,7 @@ class OriginJudge:
         # From p to q, so that what rays meet from outside only counts as they would meet it.
         at_p, line = Fraction(-1, scale), IntegerRay(line.o, line.ko, (x, y, z), 0)
         start = np.array([[float(each) for each in p]])
-        (near,) = self.index.candidates(start, ray.q - start, 0.0, 1.0)
+        (near,) = self.oracle.candidates(start, ray.q - start, 0.0, 1.0)
         others = [(part, k) for part, k, _ in near if part.ids[k] not in members]
         return min(
             (int(part.ids[k]) for part, k in others if any(at_p < t <= 0 for t, _ in part.intersect(k, line))),

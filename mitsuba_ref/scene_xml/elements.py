@@ -132,15 +132,19 @@ class ShapeWriter:
         self.meshes[file] = content
         return file
 
+    def from_file(
+        self, shape: Shape, plugin: str, suffix: str, content: bytes, more: Sequence[XmlElement] = ()
+    ) -> XmlElement:
+        """A Mitsuba shape plugin that reads a file of its own. more: its other parameters."""
+        element = Element("shape", type=plugin, id=self.name)
+        SubElement(element, "string", name="filename", value=self.file(suffix, content))
+        element.extend([*more, self.material(shape), *_flips(shape)])
+        return element
+
     def mesh(self, shape: Shape, part: Any) -> XmlElement:
         """Triangles as a PLY file in world space."""
-        file = self.file("ply", ply_bytes(part, self.texture(shape)))
-        element = Element("shape", type="ply", id=self.name)
-        SubElement(element, "string", name="filename", value=file)
-        if not part.smooth.any():
-            SubElement(element, "boolean", name="face_normals", value="true")
-        element.extend([self.material(shape), *_flips(shape)])
-        return element
+        flat = [] if part.smooth.any() else [Element("boolean", name="face_normals", value="true")]
+        return self.from_file(shape, "ply", "ply", ply_bytes(part, self.texture(shape)), flat)
 
 
 def _flips(shape: Shape) -> list[XmlElement]:

@@ -63,7 +63,6 @@ def uv_points(_prims: Any, _k: Array, uv: Array, whole_turn: bool = False) -> Ar
 
 
 intersect = partial(intersect_round, ends=True)
-UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
 
 
 # A matrix with a larger condition number than this may change its handedness when rounded to float32.
@@ -115,7 +114,12 @@ def view_cylinder(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectVie
 
 CYLINDERS = PrimitiveReference(
     Cylinders,
-    ErrorModel(intersect, EXACT_CYLINDERS, ours_through_object_space(intersect), uv=UV),
+    ErrorModel(
+        intersect,
+        EXACT_CYLINDERS,
+        ours_through_object_space(intersect),
+        UvSpace(uv_points, partial(uv_points, whole_turn=True)),
+    ),
     describe_unit_shape("cylinder"),
     on_unit_shape(unit_cylinder_points),
     derived=("to_object",),

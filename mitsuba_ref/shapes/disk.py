@@ -95,14 +95,11 @@ def unit_disk_points(rng: Rng, count: int, sort: str) -> SurfacePoints:
     return SurfacePoints(share * pushed_outside(rng, rim, sort), along, np.tile([0.0, 0.0, 1.0], (count, 1)))
 
 
-on_disks = on_unit_shape(unit_disk_points)
-
-
 DISKS = PrimitiveReference(
     Disks,
     ErrorModel(intersect, EXACT_DISKS, ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)), uv=UV),
     describe_unit_shape("disk"),
-    on_disks,
+    on_unit_shape(unit_disk_points),
     derived=("to_object",),
     rounding_groups=(by_normal,),
     known_defects=(

@@ -209,10 +209,6 @@ def describe_surface(part: Planes, k: int) -> Fields:
     return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
 
 
-def describe_plane(part: Planes, k: int) -> Fields:
-    return describe_surface(part, k) | {"normal": unit_vector_rounding_to(part.normal[k]).tolist()}
-
-
 def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """A point of the plane, and its normal transformed by the matrix of cofactors."""
     point = shape.point if shape.point is not None else np.multiply(shape.offset, shape.normal)
@@ -241,7 +237,7 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
 PLANES = PrimitiveReference(
     Planes,
     ErrorModel(intersect, EXACT_PLANES, intersect_ours, uv=UvSpace(reference=None)),
-    describe_plane,
+    lambda part, k: describe_surface(part, k) | {"normal": unit_vector_rounding_to(part.normal[k]).tolist()},
     on_planes,
     describe_surface=describe_surface,
     rounding_groups=(by_normal,),

@@ -38,7 +38,7 @@ class PrimitiveReference:
     # predicted intersections with error bounds, boxes, exact arithmetic
     model: ErrorModel = field(repr=False)
 
-    # (arrays, k) -> fields of a shape that packs to exactly the numbers of primitive k
+    # (arrays, k) -> fields of a shape that packs to exactly the numbers of primitive k; others for other numbers
     describe: Callable[[Any, int], Fields]
 
     # points where hits are hard to decide
@@ -49,9 +49,6 @@ class PrimitiveReference:
 
     # (arrays, PLY file to write) -> fields of one shape with all primitives, in order; None: one shape for each
     describe_all: Callable[[Any, Path], Fields] | None = None
-
-    # (arrays, k) -> the numbers that rays are traced and judged with
-    numbers: Callable[[Any, int], list[Array]] = lambda part, k: [array[k] for array in part]
 
     # names of arrays that packing derives from its rounded numbers, and does not round
     derived: tuple[str, ...] = ()

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -108,11 +108,9 @@ intersect_ellipsoid = partial(intersect_round, ends=False)
 
 
 def describe_spheres(part: Spheres, file: Path) -> Fields:
-    """A cloud of spheres from a binary PLY file of float64 centres and radii."""
-    points = np.column_stack([part.center, part.radius]).astype("<f8")
-    properties = "".join(f"property double {name}\n" for name in ("x", "y", "z", "radius"))
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
-    write_bytes(file, head.encode() + points.tobytes())
+    """A cloud of spheres of float32 numbers, from a binary PLY file."""
+    x, y, z = part.center.T
+    write_bytes(file, float_columns({"x": x, "y": y, "z": z, "radius": part.radius}))
     return {"type": "spheres", "file": str(file)}
 
 
@@ -175,21 +173,23 @@ def random_cloud(rng: Rng, lattice: bool) -> Fields:
     return {"centers": centers, "radii": [random_length(rng, lattice) for _ in range(count)]}
 
 
-TANGENT = KnownDefect(
-    4,
-    "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
-    5,
-    lambda m: "tangent" in m.where,
-    "missed",
+DEFECTS = (
+    STARTS_ON_CURVED,
+    KnownDefect(
+        4,
+        "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
+        5,
+        lambda m: "tangent" in m.where,
+        "missed",
+    ),
+    KnownDefect(2, "a sphere that is small and far away", 17, small_and_far),
+    KnownDefect(
+        9,
+        "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
+        19,
+        lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
+    ),
 )
-SMALL_AND_FAR = KnownDefect(2, "a sphere that is small and far away", 17, small_and_far)
-FAR_FROM_ORIGIN = KnownDefect(
-    9,
-    "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
-    19,
-    lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
-)
-DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
@@ -197,7 +197,6 @@ SPHERES = PrimitiveReference(
     lambda part, k: {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])},
     on_spheres,
     describe_all=describe_spheres,
-    numbers=lambda part, k: [part.center[k], part.radius[k]],  # not the rotation, which only uv depend on
     rounding_groups=(by_approach,),
     rounding_groups_llvm=(by_center,),
     known_defects=DEFECTS,
@@ -240,12 +239,8 @@ def ellipsoids_to_xml(out: ShapeWriter, shape: EllipsoidCloud, part: OuterEllips
     turn, radii, _ = np.linalg.svd(part.to_world)
     x, y, z, w = as_quaternions(turn * np.linalg.det(turn)[:, None, None]).T  # mirrored, an ellipsoid is the same
     columns = [*part.center.T, *np.zeros((3, len(radii))), *radii.T, x, y, z, w, *np.log(radii).T, w, x, y, z]
-    file = out.file("ply", float_columns(dict(zip(PROPERTIES, columns, strict=True))))
-    element = Element("shape", type="ellipsoids", id=out.name)
-    SubElement(element, "string", name="filename", value=file)
-    SubElement(element, "float", name="extent", value="1")
-    element.append(out.material(shape))
-    return [element]
+    content = float_columns(dict(zip(PROPERTIES, columns, strict=True)))
+    return [out.from_file(shape, "ellipsoids", "ply", content, [Element("float", name="extent", value="1")])]
 
 
 def as_quaternions(turn: Array) -> Array:

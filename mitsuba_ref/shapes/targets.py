@@ -65,7 +65,7 @@ def random_fractions(rng: Rng, count: int) -> Array:
 def random_point(rng: Rng, lattice: bool) -> list[float]:
     """A point in the cube [-1, 1]^3, in units of the shape."""
     steps = rng.integers(-LATTICE_STEPS, LATTICE_STEPS + 1, 3) / LATTICE_STEPS if lattice else rng.uniform(-1.0, 1.0, 3)
-    return [*steps.tolist()]
+    return list(steps.tolist())
 
 
 def random_length(rng: Rng, lattice: bool) -> float:
@@ -96,6 +96,7 @@ def random_directions(rng: Rng, count: int) -> Array:
 
 # ---- mesh files: shared edges and corners, slivers, faces without an area ----
 
-MESH_FOLDER = Path(__file__).with_name("meshes")
-MESHES = ("octahedron", "dented_icosphere", "fan_of_slivers", "pinched_sheet", "doubled_square")
-MESH_FILES = tuple(str(MESH_FOLDER / f"{name}.obj") for name in MESHES)
+MESH_FILES = tuple(
+    str(Path(__file__).with_name("meshes") / f"{name}.obj")
+    for name in ("octahedron", "dented_icosphere", "fan_of_slivers", "pinched_sheet", "doubled_square")
+)

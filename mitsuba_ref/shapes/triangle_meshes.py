@@ -90,36 +90,15 @@ def view_triangle(prims: Any, k: int, o: Array, d: Array, t: float) -> DefectVie
     longest = float(np.linalg.norm(edges, axis=1).max())
     across = np.cross(edges[0], edges[1])
     area = float(np.linalg.norm(across))
+    along = (corners - o) @ d / float(d @ d)
+    room = KU * (np.abs(along).max() + abs(t))  # for the rounding of t
+    a, b, c = map(exact_vector, corners)
     return DefectView(
         cosine=abs_cosine(across, d),
         slenderness=area / longest**2 if longest > 0.0 else 0.0,
-        beyond_corners=_beyond(corners, o, d, t),
-        without_area=not has_area(corners),
+        beyond_corners=bool(t > along.max() + room or t < along.min() - room),
+        without_area=not any(cross(sub(b, a), sub(c, a))),
     )
-
-
-def _beyond(corners: Array, o: Array, d: Array, t: float) -> bool:
-    """Whether t lies outside the interval that the corners span along the ray, by more than rounding."""
-    along = (corners - o) @ d / float(d @ d)
-    room = KU * (np.abs(along).max() + abs(t))
-    return bool(t > along.max() + room or t < along.min() - room)
-
-
-def has_area(corners: Array) -> bool:
-    """Whether the triangle has an area, exactly: the cross product of its edges in fractions."""
-    a, b, c = map(exact_vector, corners)
-    return any(cross(sub(b, a), sub(c, a)))
-
-
-def numbers_of_triangle(part: Triangles, k: int) -> list[Array]:
-    """Corners, and normals and uv if they are used."""
-    corners = part.faces[k]
-    numbers = [part.vertices[corners], part.smooth[k], part.textured[k]]
-    if part.smooth[k]:
-        numbers.append(part.normals[corners])
-    if part.textured[k]:
-        numbers.append(part.uv[corners])
-    return numbers
 
 
 TRIANGLES = PrimitiveReference(
@@ -127,7 +106,6 @@ TRIANGLES = PrimitiveReference(
     MODEL,
     describe_triangle,
     on_triangles,
-    numbers=numbers_of_triangle,
     rounding_groups=(by_normal,),
     position_terms=lambda part, k, weights, p: np.einsum(
         "ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]])
@@ -212,12 +190,8 @@ def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     yield from expected_arrays(shape, part, [[0, 1, 2]])
 
 
-def expected_file_or_arrays(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """The mesh in world space; corners, faces and uv of arrays in their order. (Normals may have any length.)"""
-    return expected_mesh(shape, part) if shape.file is not None else expected_arrays(shape, part, shape.faces)
-
-
 def expected_arrays(shape: Any, part: Any, faces: Any) -> Iterator[ExpectedNumbers]:
+    """The mesh in world space; corners, faces and uv in the order of the description. Normals may have any length."""
     given = shape.mesh()
     yield exactly("corners", given.vertices, shape.vertices)
     yield exactly("described faces", given.faces, faces)
@@ -272,7 +246,13 @@ TRIANGLE = triangle_mesh_reference(
     expected_triangle,
     FLAT_AND_SMALL,
 )
-MESH = triangle_mesh_reference(Mesh, random_mesh, expected_file_or_arrays)
+MESH = triangle_mesh_reference(
+    Mesh,
+    random_mesh,
+    lambda shape, part: (
+        expected_mesh(shape, part) if shape.file is not None else expected_arrays(shape, part, shape.faces)
+    ),
+)
 RECTANGLE = triangle_mesh_reference(Rectangle, groups=FLAT_AND_SMALL)
 CUBE = triangle_mesh_reference(Cube, groups=("flat", "mesh"))
 ICOSPHERE = triangle_mesh_reference(

@@ -182,9 +182,8 @@ def packs_identically(part: Any, k: int, packed: Packed) -> bool:
     """Whether a scene packs to just primitive k of these arrays, apart from a sphere's rotation, used for uv."""
     if len(packed.parts) != 1 or type(packed.parts[0]) is not type(part):
         return False
-    numbers = kind_of(part).numbers
-    there, here = numbers(packed.parts[0], 0), numbers(part, k)
-    return all(np.array_equal(a, b) for a, b in zip(there, here, strict=True))
+    describe = kind_of(part).describe
+    return bool(describe(packed.parts[0], 0) == describe(part, k))
 
 
 def kept_fields(shape: Shape) -> PrimitiveDescription:

@@ -19,7 +19,6 @@ from caster.shapes.sphere import Ellipsoids, OuterEllipsoids, Spheres
 from mitsuba_ref.oracle.exact_numbers import Root
 
 Rng = np.random.Generator
-KINDS = ("Triangles", "Planes", "Spheres", "Ellipsoids", "Cylinders", "Disks", "OuterEllipsoids", "RoundSegments")
 
 # (scale of space, scale of d): exact ones, those that round, the range of float64, and denormal numbers
 SCALES = {
@@ -209,3 +208,4 @@ AIMS = {
     "OuterEllipsoids": aim_at_outer_ellipsoids,
     "RoundSegments": aim_at_segments,
 }
+KINDS = tuple(AIMS)

@@ -137,15 +137,6 @@ def test_boxes_without_bounds_come_last_and_spoil_no_others():
     assert sorted(found.box.tolist()) == endless.tolist() and np.isneginf(found.near).all()
 
 
-def test_every_box_is_grown_by_the_margin_of_its_farthest_corner(monkeypatch):
-    monkeypatch.setattr(boxes, "BOXES_PER_CHUNK", 8)
-    low = np.random.default_rng(114).uniform(-9.0, 9.0, (20, 3))
-    order, scale = np.arange(20)[::-1], boxes.COORDINATE_SCALE
-    grown = boxes.grown_columns(low, low + 1.0, order, 0.125)
-    margin = 0.125 * np.maximum(np.abs(low), np.abs(low + 1.0)).max(axis=1, keepdims=True)
-    assert np.array_equal(grown, np.stack([low - margin, low + 1.0 + margin])[:, order].transpose(0, 2, 1) * scale)
-
-
 def test_boxes_at_one_place_or_none_at_all_are_fine():
     same = np.zeros((BRANCHING_FACTOR + 1, 3))
     (found,) = BoxTree(same, same, BOX_MARGIN).crossings(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]))

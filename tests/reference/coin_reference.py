@@ -77,7 +77,7 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
 
 
 def surface_points(prims: Coins, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
-    return disk.on_disks(as_disks(prims), k, rng, sort)
+    return disk.DISKS.surface_points(as_disks(prims), k, rng, sort)
 
 
 def describe(part: Coins, k: int) -> Fields:

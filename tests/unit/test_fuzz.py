@@ -15,12 +15,11 @@ from caster.shapes import SHAPES
 from mitsuba_ref.fuzz import cases, checks
 from mitsuba_ref.fuzz.cases import case_of, ray_of, scene_data
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, adjudicate, check_image, check_rays, check_surfaces
-from mitsuba_ref.fuzz.findings import Finding, Tally, first_of_each_kind
+from mitsuba_ref.fuzz.findings import Finding, Tally
 from mitsuba_ref.fuzz.fuzz_run import Example, check_example
-from mitsuba_ref.fuzz.shrink import Shrinker, complexity, primitive_shapes, simpler_numbers, walk
+from mitsuba_ref.fuzz.shrink import Shrinker
 from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.family import scene_of
-from mitsuba_ref.hard.random_parts import shape_types
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
 from mitsuba_ref.judge.verdict import SceneCheck
@@ -166,11 +165,6 @@ def test_a_normal_of_another_length_is_found(subject):
     assert finding.kind == "surface" and np.array_equal(finding.ray.o[0], rays().o[1])
 
 
-def test_one_of_each_kind_is_reported_first_things_first():
-    findings = [Finding("t", "a"), Finding("missed", "b"), Finding("t", "c")]
-    assert [(f.kind, f.what) for f in first_of_each_kind(findings)] == [("missed", "b"), ("t", "a")]
-
-
 # ---- kept cases
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -246,13 +240,6 @@ def test_other_files_are_reported_as_what_they_are(tmp_path):
 # ---- shrinking
 
 
-@given(st.floats(allow_nan=False, allow_infinity=False))
-def test_simpler_numbers_are_finite_simpler_and_end_at_zero(x):
-    for other in simpler_numbers(x):
-        assert np.isfinite(other) and complexity(other) < complexity(x)
-    assert next(simpler_numbers(x), 0.0) == 0.0 and list(simpler_numbers(np.inf)) == []
-
-
 def loaded(case):
     """The shapes; none of an invalid scene."""
     try:
@@ -271,7 +258,7 @@ def has_three_and_seven(case):
 def many_spheres():
     radii = np.linspace(0.1234, 9.7654, 25).tolist()
     shapes = [{"type": "sphere", "radius": r, "center": [r, 0.1, -r], "name": f"n{r}"} for r in radii]
-    return a_case(ALONG_Z, shapes)
+    return a_case(ALONG_Z, shapes) | {"light": [{"type": "ambient", "radiance": [1.0, 1.0, 1.0]}]}
 
 
 @pytest.mark.parametrize("attempts", [0, 1, 7, 40, 5000])
@@ -280,43 +267,14 @@ def test_everything_that_does_not_matter_goes_and_what_is_left_fails(attempts):
     shrinker.run()
     assert has_three_and_seven(shrinker.case) == [shrinker.finding]
     if attempts == 5000:
-        shapes = shrinker.case["shape"]
-        assert sorted(shapes[0]) == sorted(shapes[1]) == ["radius", "type"]
-        assert sorted(shape["radius"] for shape in shapes) == [3.0, 7.0]
+        assert sorted(shrinker.case) == ["camera", "film", "limits", "shape"]
+        assert len(shrinker.case["shape"]) == 2 and "name" not in repr(shrinker.case)
 
 
 def test_no_attempt_is_made_when_the_time_is_up():
     shrinker = Shrinker(many_spheres(), Finding("prim", "25"), has_three_and_seven, until=0.0)
     shrinker.run()
     assert shrinker.case == many_spheres() and shrinker.finding.what == "25"
-
-
-@pytest.mark.parametrize("kind", shape_types())
-def test_shapes_written_anew_have_the_same_primitives(kind):
-    """In the same order, so that ties stay what they are."""
-    exercised = 0
-    for number in range(200):
-        data = Example(6, number, BY_NAME["any"]).made.data
-        for i, shape in enumerate(data["shape"]):
-            if shape["type"] != kind:
-                continue
-            (part,) = pack(scene_of({**data, "shape": [shape]})).parts
-            parts = pack(scene_of({**data, "shape": primitive_shapes(data, i)})).parts
-            for k, other in enumerate(parts):
-                assert type(other) is type(part)
-                exercised += 1
-                for ours, theirs in zip(corners(part, k), corners(other, 0), strict=True):
-                    np.testing.assert_allclose(ours, theirs, rtol=4e-16, atol=0.0)
-        if exercised > 20:
-            break
-    assert exercised >= 3
-
-
-def corners(part, k):
-    """The numbers that say where primitive k is."""
-    if hasattr(part, "faces"):
-        return [part.vertices[part.faces[k]]]
-    return [a[k] for name, a in part._asdict().items() if name not in ("turn", "to_object")]
 
 
 def hits_something(case):
@@ -328,17 +286,14 @@ def hits_something(case):
 
 
 @pytest.mark.parametrize("number", [0, 19])
-def test_a_mesh_shrinks_to_one_triangle_and_round_numbers(number):
+def test_a_mesh_shrinks_to_one_triangle(number):
     tried = Example(7, number, BY_NAME["edges"])
     given_rays = tried.rays(pack(tried.made.scene()))
     batches = [given_rays.taken(slice(i, i + 1)) for i in range(len(given_rays.t_min))]
     ray = next(each for each in batches if hits_something(case_of(tried.made.data, each)))
     shrinker = Shrinker(case_of(tried.made.data), Finding("prim", "it is hit", ray), hits_something)
     shrinker.run()
-    shapes = shrinker.case["shape"]
-    assert [shape["type"] for shape in shapes] == ["triangle"] and hits_something(shrinker.case)
-    found = [x for _, x in walk(shapes) if isinstance(x, float)]
-    assert len(found) == 9 and sum(len(repr(x)) <= 5 for x in found) >= 6
+    assert [shape["type"] for shape in shrinker.case["shape"]] == ["triangle"] and hits_something(shrinker.case)
 
 
 def test_a_film_shrinks_to_one_pixel_and_that_to_its_ray():

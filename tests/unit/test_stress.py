@@ -101,18 +101,6 @@ def without_a_primitive(found: Answer) -> Answer:
     return replace(found, t=np.where(gone, np.inf, found.t), prim=np.where(gone, -1, found.prim))
 
 
-def misnamed(found: Answer) -> Answer:
-    return replace(found, prim=np.where(found.hit, found.prim + 1, -1))
-
-
-def hitting_always(found: Answer) -> Answer:
-    return replace(found, t=np.where(found.hit, found.t, 1.0), prim=np.where(found.hit, found.prim, 0))
-
-
-def not_a_number(found: Answer) -> Answer:
-    return replace(found, t=np.where(found.hit, np.nan, found.t))
-
-
 @pytest.mark.parametrize(("factor", "wrong"), [(1.0, 0), (1.0 + 1e-6, 1)])
 def test_a_fault_of_ours_fails_the_run(factor, wrong, monkeypatch, capsys, only):
     honest = sweeps.cast_by_bvh
@@ -148,11 +136,13 @@ def test_each_kind_of_mistake_is_counted_as_what_it_is(ball):
     scorer, found = ball
     hits = int(found.hit.sum())
     assert not scorer.score(found).breaks
-    assert scorer.score(misnamed(found)).beyond == hits > 0  # ours names the first of a tie
+    misnamed = replace(found, prim=np.where(found.hit, found.prim + 1, -1))
+    assert scorer.score(misnamed).beyond == hits > 0  # ours names the first of a tie
     lost = scorer.score(replace(found, t=np.full(RAYS, np.inf), prim=np.full(RAYS, -1)))
     assert (lost.false_misses, lost.compared, lost.error, lost.breaks) == (hits, 0, None, True)
-    assert scorer.score(hitting_always(found)).false_hits == RAYS - hits > 0
-    broken = scorer.score(not_a_number(found))
+    always = replace(found, t=np.where(found.hit, found.t, 1.0), prim=np.where(found.hit, found.prim, 0))
+    assert scorer.score(always).false_hits == RAYS - hits > 0
+    broken = scorer.score(replace(found, t=np.where(found.hit, np.nan, found.t)))
     assert (broken.beyond, broken.wrong_masks) == (hits, 0)
 
 

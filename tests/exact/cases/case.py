@@ -99,6 +99,5 @@ class Case:
 
     number: int  # its row in docs/internals/edge-cases.md
     name: str
-    ours: str  # what is right, in a sentence
     questions: Callable[[Maker], Iterator[Question]]
     every_shape: bool = False  # whether it is asked of every shape of the registry

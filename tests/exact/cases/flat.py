@@ -67,19 +67,8 @@ def horizon(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{name}, {'turned' if turned else 'upright'}", [shape], o, d, hit=1)
 
 
-EXACT = "exact"
 CASES = (
-    Case(
-        44,
-        "borders, corners and diagonals, and one unit in the last place beside",
-        "closed: the border is hit, what is beyond it is not",
-        borders,
-    ),
-    Case(45, "rims of disks, and one unit in the last place beside", "closed, decided in integers", rims),
-    Case(
-        50,
-        "the horizon: a plane from 1 above it",
-        "a plane has no end; t is rounded a few times, however far it is",
-        horizon,
-    ),
+    Case(44, "borders, corners and diagonals, and one unit in the last place beside", borders),
+    Case(45, "rims of disks, and one unit in the last place beside", rims),
+    Case(50, "the horizon: a plane from 1 above it", horizon),
 )

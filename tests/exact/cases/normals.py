@@ -1,5 +1,6 @@
 """The normal where a ray meets a primitive, in whole numbers and fractions, and how far off a float64 may put it."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -114,7 +115,9 @@ def _sphere(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: flo
     return min(approached, reached) + 1.0
 
 
-def _through_matrix(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float, flat: bool) -> float:
+def _through_matrix(
+    prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float, flat: bool = False
+) -> float:
     m, away = prims.to_object[k], o - prims.center[k]
     q, e = m @ (away + t * d), m @ d
     reach = np.abs(m) @ (np.abs(away) + np.abs(t * d))
@@ -123,14 +126,6 @@ def _through_matrix(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, 
     moved = np.linalg.norm(reach) + np.linalg.norm(e) * off / U
     back = m.T @ (q / np.linalg.norm(q))
     return (moved + 1.0) * np.linalg.norm(m, "fro") / np.linalg.norm(back)
-
-
-def _ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float) -> float:
-    return _through_matrix(prims, k, o, d, t, off, False)
-
-
-def _cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float) -> float:
-    return _through_matrix(prims, k, o, d, t, off, True)
 
 
 def _segment(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float) -> float:
@@ -147,8 +142,8 @@ BOUNDS = {
     "Planes": _flat,
     "Disks": _flat,
     "Spheres": _sphere,
-    "Ellipsoids": _ellipsoid,
-    "OuterEllipsoids": _ellipsoid,
+    "Ellipsoids": _through_matrix,
+    "OuterEllipsoids": _through_matrix,
     "RoundSegments": _segment,
-    "Cylinders": _cylinder,
+    "Cylinders": partial(_through_matrix, flat=True),
 }

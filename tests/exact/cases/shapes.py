@@ -48,7 +48,6 @@ def strewn(rng: Rng, count: int = 6) -> Mesh:
     return mesh_of(corners, np.arange(3 * count).reshape(-1, 3))
 
 
-FLAT = ("triangle", "rectangle", "disk", "plane", "cube", "mesh", "heightfield")
 ROUND = ("sphere", "ellipsoid", "cylinder", "elliptic cylinder")
 CLOSED = ("sphere", "ellipsoid", "cube", "icosphere", "torus")
 
