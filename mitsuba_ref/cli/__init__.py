@@ -93,7 +93,8 @@ COMMANDS = (
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
         "fuzz --time 5m --candidate mine:trace",
-        "fuzz",
+        "experiments",
+        "run_fuzz",
         starts_with="loading the judge",
     ),
     _command(
@@ -104,15 +105,12 @@ COMMANDS = (
         "run_stress",
         starts_with="loading the judge",
     ),
-    Command(
+    _command(
         "campaign",
         "run scenes, random films, fuzz and stress by a file, continue where a run stopped, report what is new",
-        "mitsuba_ref.campaign.run",
-        "run",
-        "add_campaign_arguments",
-        "loading the judge",
-        f"{_HERE}.arguments",
-        "mitsuba-ref campaign nightly.toml --html nightly.html",
+        "campaign nightly.toml --html nightly.html",
+        "campaign",
+        starts_with="loading the judge",
     ),
     _command(
         "bench",
