@@ -339,9 +339,6 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "judge where these rays start, in place of hits: .npz of `rays` and of `parent`, the rows of --rays after "
     help_ += "whose hits they go on"
     add("--spawned", InputPath, help_, metavar="FILE")
-    help_ = "let the rays of --spawned start where a rule says: MODULE:FUNCTION of (points, normals, directions), or "
-    help_ += "mitsuba, pbrt, constant"
-    add("--spawn", str, help_, metavar="RULE")
     help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
     add("--precision", str, help_, metavar="PRECISION", choices=PRECISIONS)
     add("--row", whole, "judge this ray alone")
@@ -453,7 +450,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     add_workers(add, "units")
     add_engine(add)
     add_json(parser)
-    add("--html", OutputFile, "write the report as a page; - is standard output")
+    add("--html", OutputFile, "write the report as a page")
     add_reference(parser)
 
 

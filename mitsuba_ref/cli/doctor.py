@@ -30,12 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings; 4 when something needed is missing."""
-    return print_findings(report(), args.json)
-
-
-def report() -> list[Finding]:
-    """Find everything that the ray caster and the judge use."""
-    return [*caster_doctor.report(), *judge_findings()]
+    return print_findings([*caster_doctor.report(), *judge_findings()], args.json)
 
 
 def judge_findings() -> list[Finding]:

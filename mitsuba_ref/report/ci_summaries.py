@@ -64,12 +64,6 @@ def junit(verdict: Verdict) -> str:
     """
     top = Element("testsuites", name=NAME)
     suite = SubElement(top, "testsuite", name=NAME)
-    about = {"shard": verdict.shard, "candidate": printable(verdict.candidate)}
-    if any(about.values()):
-        properties = SubElement(suite, "properties")
-        for name, value in about.items():
-            if value:
-                SubElement(properties, "property", name=name, value=value)
     for check in broken_checks(verdict):
         add_case(suite, "candidate", check.name, "failure", check.what, check.name)
     for scene in verdict.scenes:
@@ -79,8 +73,7 @@ def junit(verdict: Verdict) -> str:
     for counted, tag in (("tests", "testcase"), ("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
         for element in (top, suite):
             element.set(counted, str(len(list(suite.iter(tag)))))
-    for element in (top, suite):
-        element.set("time", f"{sum(spent(scene) for scene in verdict.scenes):.3f}")
+            element.set("time", f"{sum(spent(scene) for scene in verdict.scenes):.3f}")
     indent(top)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(top, encoding="unicode") + "\n"
 

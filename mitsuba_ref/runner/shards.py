@@ -41,11 +41,6 @@ def parse_shard(text: str) -> Shard:
     raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
 
 
-def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEntry]:
-    """The entries of one shard, dealt in their order. Each entry is in exactly one shard."""
-    return list(entries[shard.part - 1 :: shard.parts])
-
-
 def run_identity(entries: Sequence[SceneEntry], shard: Shard | None) -> dict[str, Any]:
     """Fields of a Verdict that identify what judged and what was judged. entries: of all shards."""
     if shard is None:
@@ -65,13 +60,17 @@ class DifferentRuns(SceneError):  # noqa: N818 - names a state
 def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, str]:
     """(one verdict of all, how many shards are missing, "" if none is); parts: (file, verdict).
 
-    A scene of a missing shard counts as not judged. Raises DifferentRuns for parts of different runs.
+    A run that was not divided is shard 1/1. A scene of a missing shard counts as not judged. Raises DifferentRuns for
+    parts of different runs, UnreadableVerdict.
     """
     first_place, first = parts[0]
     files: dict[Shard, str] = {}
     scenes: dict[str, SceneVerdict] = {}
     for place, part in parts:
-        shard = _shard_of(place, part)
+        try:
+            shard = parse_shard(part.shard or "1/1")
+        except argparse.ArgumentTypeError as error:
+            raise UnreadableVerdict(f"{place}: shard: {error}") from error
         if shard in files:
             raise DifferentRuns(f"{place}: shard {shard} once more; it is in {files[shard]}")
         files[shard] = place
@@ -81,10 +80,7 @@ def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, str]:
                 f"{place}: expected a part of the same run as {first_place}: its {what} is {run[what]}, there it is "
                 f"{expected.get(what)}"
             )
-        for scene in part.scenes:
-            if scene.name in scenes or scene.name not in (first.selected or first.names):
-                raise DifferentRuns(f"{place}: scene {scene.name} is in another shard, or was not selected")
-            scenes[scene.name] = scene
+        scenes |= {scene.name: scene for scene in part.scenes}
     names = first.selected or first.names
     processors = dict.fromkeys(part.judged_with.get(PROCESSOR, "?") for _, part in parts)
     whole = replace(
@@ -101,14 +97,6 @@ def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, str]:
     count = next(iter(files)).parts
     missing = next((each for each in (Shard(part, count) for part in range(1, count + 1)) if each not in files), None)
     return whole, f"{count - len(files)} of {count} shards are missing: {missing} first" if missing else ""
-
-
-def _shard_of(place: str, part: Verdict) -> Shard:
-    """The shard of a verdict; a run that was not divided is 1/1. Raises UnreadableVerdict."""
-    try:
-        return parse_shard(part.shard or "1/1")
-    except argparse.ArgumentTypeError as error:
-        raise UnreadableVerdict(f"{place}: shard: {error}") from error
 
 
 def _run_of(part: Verdict, shard: Shard) -> dict[str, object]:
