@@ -1,10 +1,7 @@
 """The report of a campaign: what is new since the last run, trends over runs, and the reference's own defects."""
 
-import contextlib
 import html
 import json
-import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -134,16 +131,11 @@ def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
 
 
 def keep_scenes(history: History, scenes: Mapping[Path, str]) -> None:
-    """Write the scenes of a report that are not there yet, and remove those of earlier ones. Raises OutputError."""
-    folder = history.path.with_suffix(FOLDER_SUFFIX)
+    """Write the scenes of a report that are not there yet. Raises OutputError."""
     for file, text in scenes.items():
-        if not os.path.exists(file):
-            check_folder(folder)
+        if not file.exists():
+            check_folder(history.path.with_suffix(FOLDER_SUFFIX))
             write_text(file, text)
-    for file in folder.glob("*.toml"):
-        if file not in scenes and re.fullmatch(rf"[0-9a-f]{{{NAME_DIGITS}}}", file.stem):
-            with contextlib.suppress(OSError):
-                file.unlink()
 
 
 def _trends(history: History) -> dict[str, tuple[TrendPoint, ...]]:

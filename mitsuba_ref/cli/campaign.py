@@ -29,7 +29,7 @@ from mitsuba_ref.runner.verdict_files import code_hash
 HISTORY_SUFFIX = ".history.sqlite"
 
 
-def run(args: argparse.Namespace) -> int:
+def run_campaign(args: argparse.Namespace) -> int:
     """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing judged, 130 interrupted."""
     file = Path(args.file)
     if file.suffix.lower() not in (".toml", ".json"):

@@ -102,7 +102,7 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
 # ---- answers to any rays ----
 
 
-def run(args: argparse.Namespace) -> int:
+def run_judge(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
     if args.spawned:
         return run_spawned(args)

@@ -37,7 +37,7 @@ from mitsuba_ref.runner.validation_run import VERDICT, ValidationRun, expected_t
 from mitsuba_ref.runner.verdict_files import read_verdict
 
 
-def run(args: argparse.Namespace) -> int:
+def run_validate(args: argparse.Namespace) -> int:
     """Validate the selected scenes; 0 all pass, 1 some do not, 5 nothing was selected, 130 interrupted."""
     entries = selected_entries(args)
     out = without_earlier_results(args)

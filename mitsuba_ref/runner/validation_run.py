@@ -24,7 +24,7 @@ from mitsuba_ref.report.results import json_text
 from mitsuba_ref.report.verdict_text import failing_checks, failing_scenes
 from mitsuba_ref.runner.engine import LOCAL, opened
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of, with_inputs_hash
-from mitsuba_ref.runner.shards import Shard, run_identity
+from mitsuba_ref.runner.shards import run_identity
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 
 VERDICT = "verdict.json"  # in the folder of --out
@@ -46,18 +46,19 @@ class ValidationRun:
         workers: int | None = None,
         engine: str = LOCAL,
         maxfail: int | None = None,
-        shard: Shard | None = None,
+        shard: tuple[int, int] | None = None,
         expected: "ExpectedFailures | None" = None,
         skip_unsupported: bool = False,
         min_scenes: int = 0,
     ) -> None:
-        """entries: the scenes of all shards. out, html: folders of the images of both sides and of the HTML report.
+        """entries: the scenes of all shards; shard: part I of N, which is judged.
 
+        out, html: folders of the images of both sides and of the HTML report.
         workers: scenes at a time; None: one for each core. maxfail: failing scenes after which the run ends.
         expected: known failures, by which the run does not fail; skip_unsupported: nor by scenes that the candidate
         declines. min_scenes: that have to be judged for the run to pass. Raises OutputError.
         """
-        self.entries = entries[shard.part - 1 :: shard.parts] if shard else entries
+        self.entries = entries[shard[0] - 1 :: shard[1]] if shard else entries
         self.candidate_name = judge.subject.name if judge.subject else ""
         self.html = HtmlReport(html, len(self.entries), self.candidate_name) if html else None
         self.judge, self.out = judge._replace(folder=out, page_of=page_record if self.html else None), out
