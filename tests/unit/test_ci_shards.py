@@ -66,12 +66,15 @@ def merged(capsys, *words):
 
 
 def test_all_shards_together_are_the_run(folder, capsys):
-    """A folder stands for its verdict."""
+    """A folder stands for its verdict; the processors of both are named."""
+    write("1.json", shard("1/2", "a", "c", judged_with=WITH))
+    write("2.json", shard("2/2", "b", "d", judged_with=WITH | {"processor": "two"}))
     (folder / "out-1").mkdir()
     (folder / "1.json").rename(folder / "out-1/verdict.json")
     code, out, _ = merged(capsys, "2.json", "out-1")
     assert code == 0 and "4 scenes: 4 pass, 0 fail" in out
     whole = read_verdict("all.json")
+    assert whole.judged_with["processor"] == "two and one"
     assert whole.ok and tuple(scene.name for scene in whole.scenes) == NAMES and whole.shard == ""
     assert (folder / "all.md").read_text().startswith("## PASS: 4 scenes") and "shard" not in out
     assert 'tests="4"' in (folder / "all.xml").read_text()
@@ -126,13 +129,6 @@ def test_what_are_not_parts_of_one_run_are_not_put_together(folder, capsys, othe
     write("2.json", other)
     code, _, err = merged(capsys, "1.json", "2.json")
     assert code == 3 and says in err and "2.json: " in err and not (folder / "all.json").exists()
-
-
-def test_shards_of_other_processors_are_put_together_and_both_are_named(folder, capsys):
-    write("1.json", shard("1/2", "a", "c", judged_with=WITH))
-    write("2.json", shard("2/2", "b", "d", judged_with=WITH | {"processor": "two"}))
-    assert merged(capsys, "1.json", "2.json")[0] == 0
-    assert read_verdict("all.json").judged_with["processor"] == "one and two"
 
 
 def test_a_file_that_is_no_verdict_is_reported(folder, capsys):
