@@ -58,10 +58,7 @@ def validate(
         path = each if isinstance(each, Scene) else builtin_scenes.scene_path(os.fspath(each))
         sources += [path] if isinstance(path, Scene) else scene_files([path])
     names = display_names([f"{i}/scene" if isinstance(each, Scene) else each for i, each in enumerate(sources)])
-    entries = [
-        SceneEntry(name, "", size, given=each) if isinstance(each, Scene) else SceneEntry(name, each, size)
-        for name, each in zip(names, sources, strict=True)
-    ]
+    entries = [_entry(name, each, size) for name, each in zip(names, sources, strict=True)]
     return _judged(entries, JudgeOptions(subject=_subject(candidate, precision), timeout=timeout))
 
 
@@ -84,8 +81,8 @@ def judge_hits(
     found: RayList = checked_rays(rays, "rays") if isinstance(rays, np.ndarray) else read_rays(os.fspath(rays))
     given = hits if isinstance(hits, Mapping) else read_arrays(os.fspath(hits), HIT_ARRAYS)
     arrays = {array: np.asarray(values) for array, values in given.items()}
-    name, path = ("scene", "") if isinstance(scene, Scene) else (Path(scene).stem, os.fspath(scene))
-    entries = entries_of_hits(name, path, _loaded(scene), found, arrays, "hits", precision)
+    entry = _entry("scene" if isinstance(scene, Scene) else Path(scene).stem, scene)
+    entries = entries_of_hits(entry.name, entry.path, entry.load(), found, arrays, "hits", precision)
     return _judged(entries, JudgeOptions(timeout=timeout))
 
 
@@ -104,7 +101,7 @@ def probe_pixel(
     Raises SceneError, also for a pixel outside the film, and FileMissing.
     """
     variants.require_variants()
-    return probe_with_evidence(_loaded(scene, size), x, y, _subject(candidate, precision), timeout)[0]
+    return probe_with_evidence(_entry("", scene, size).load(), x, y, _subject(candidate, precision), timeout)[0]
 
 
 def export_xml(scene: Scene | ScenePath, folder: ScenePath) -> Path:
@@ -112,13 +109,13 @@ def export_xml(scene: Scene | ScenePath, folder: ScenePath) -> Path:
 
     Raises OutputError, and what loading a scene raises.
     """
-    return export_scene(_loaded(scene)).write(Path(folder))
+    return export_scene(_entry("", scene).load()).write(Path(folder))
 
 
-def _loaded(scene: Scene | ScenePath, size: tuple[int, int] | None = None) -> Scene:
+def _entry(name: str, scene: Scene | ScenePath, size: tuple[int, int] | None = None) -> SceneEntry:
     if isinstance(scene, Scene):
-        return SceneEntry("", "", size, given=scene).load()
-    return SceneEntry("", builtin_scenes.scene_path(os.fspath(scene)), size).load()
+        return SceneEntry(name, "", size, given=scene)
+    return SceneEntry(name, builtin_scenes.scene_path(os.fspath(scene)), size)
 
 
 def _subject(candidate: Candidate | None, precision: str | None) -> Subject | None:

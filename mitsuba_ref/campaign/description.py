@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from caster.cli.shared_arguments import scene_files
-from caster.description.errors import FileMissing, SceneError, field_error, suggestion
+from caster.description.errors import FileMissing, SceneError, field_error
 from caster.description.fields import Count, Description, Index, Positive, RowOf
 from caster.description.input_files import read_text
 from caster.description.parsing import model_of_text
@@ -29,10 +29,11 @@ def _not_empty(items: tuple[Item, ...]) -> tuple[Item, ...]:
 
 
 Some = Annotated[tuple[Item, ...], AfterValidator(_not_empty)]
-Names = Some[str]
 Size = Annotated[Any, RowOf(Pixels, 2, "2 numbers [width, height]")]  # of a film, pixels
 Many = Annotated[Count, Field(le=10_000_000)]  # lists of so many numbers fit into memory
 Depth = Annotated[Index, Field(le=1000)]
+FILM_FAMILIES = (FILMS.name, *(family.name for family in FAMILIES if family.fits_float32))
+FUZZ_FAMILIES, STRESS_FAMILIES = tuple(BY_NAME), tuple(family.name for family in SWEPT)
 
 
 class Budget(Description):
@@ -69,37 +70,30 @@ class Contender(Description):
         return ("--candidate-serve" if self.serve else "--candidate", self.candidate, *precision, *timeout)
 
 
-class Job(Description):
-    """Units of one kind: every combination of its lists, for each seed and subject."""
-
-    KNOWN: ClassVar[tuple[str, ...]] = ()  # names of families
-
-    @field_validator("families", check_fields=False)
-    @classmethod
-    def _are_known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if name not in cls.KNOWN:
-                hint = suggestion(name, cls.KNOWN)
-                raise ValueError(f"may not name '{name}'{hint} (known: {', '.join(cls.KNOWN)})")
-        return names
+# Jobs: units of one kind. Each is every combination of the job's lists, for each seed and subject.
 
 
-class SceneJob(Job):
+class SceneJob(Description):
     """Scene files, judged as `validate` does; seeds play no part."""
 
     type: Literal["scenes"] = "scenes"
-    scenes: Names  # files, folders, builtin:NAME, and builtin:SET or builtin:all
+    scenes: Some[str]  # files, folders, builtin:NAME, and builtin:SET or builtin:all
     sizes: Some[Size] | None = None  # of films; none: the scenes' own
     bounces: Depth = 0
 
     @field_validator("scenes")
     @classmethod
-    def _are_files(cls, words: Names, info: ValidationInfo) -> Names:
+    def _are_files(cls, words: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         """The files; absolute, so that keys and replays hold in every folder. info: the folder of the campaign file."""
         found: list[str] = []
         for i, word in enumerate(words):
             try:
-                places = _places(word, Path(info.context or ""))
+                name, sets = word.removeprefix(builtin_scenes.PREFIX), (*builtin_scenes.SETS, builtin_scenes.ALL_SETS)
+                if name == word:
+                    places = [os.path.abspath(Path(info.context or "") / word)]
+                else:
+                    known = name in sets
+                    places = builtin_scenes.folders_of(name) if known else [builtin_scenes.scene_path(word, sets)]
                 files = scene_files(places)
                 if not files:
                     raise SceneError(f"{places[0]}: expected scene files in this folder, found none")
@@ -110,43 +104,31 @@ class SceneJob(Job):
         return tuple(scene_files(found))
 
 
-def _places(word: str, folder: Path) -> list[str]:
-    """Files and folders by a word of a campaign file. Raises SceneError."""
-    name = word.removeprefix(builtin_scenes.PREFIX)
-    if name == word:
-        return [os.path.abspath(folder / word)]
-    sets = (*builtin_scenes.SETS, builtin_scenes.ALL_SETS)
-    return builtin_scenes.folders_of(name) if name in sets else [builtin_scenes.scene_path(word, sets)]
-
-
-class FilmJob(Job):
+class FilmJob(Description):
     """Films of random scenes, judged as `validate` does."""
 
-    KNOWN = (FILMS.name, *(family.name for family in FAMILIES if family.fits_float32))
     type: Literal["films"] = "films"
-    families: Names = (FILMS.name,)
+    families: Some[Literal[FILM_FAMILIES]] = (FILMS.name,)  # type: ignore[valid-type]
     scenes: Many  # of each family and seed
     sizes: Some[Size] = ((224, 224),)
     bounces: Depth = 0
 
 
-class FuzzJob(Job):
+class FuzzJob(Description):
     """Examples, checked as `fuzz` does."""
 
-    KNOWN = tuple(BY_NAME)
     type: Literal["fuzz"] = "fuzz"
-    families: Names = tuple(BY_NAME)
+    families: Some[Literal[FUZZ_FAMILIES]] = FUZZ_FAMILIES  # type: ignore[valid-type]
     examples: Many  # of each family and seed
     rays: Some[Count] = (RAYS_PER_EXAMPLE,)  # of an example
     judge_every: Index = 16
 
 
-class StressJob(Job):
+class StressJob(Description):
     """Settings of sweeps, scored as `stress` does."""
 
-    KNOWN = tuple(family.name for family in SWEPT)
     type: Literal["stress"] = "stress"
-    families: Names = KNOWN
+    families: Some[Literal[STRESS_FAMILIES]] = STRESS_FAMILIES  # type: ignore[valid-type]
     values: Some[Positive] | None = None  # of the swept quantity; none: those of the family
     rays: Some[Count | None] = (None,)  # of a setting; none: as `stress`
 

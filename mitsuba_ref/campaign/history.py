@@ -66,8 +66,6 @@ class History:
                     raise OutputError(
                         f"{path}: expected the history of a campaign, of version {VERSION}; this is another database"
                     )
-                if (check := self.database.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-                    raise sqlite3.DatabaseError(check)
         except OutputError:
             if new:  # a full disk
                 self.path.unlink(missing_ok=True)
@@ -173,15 +171,9 @@ class History:
             database.execute("INSERT OR IGNORE INTO run_units VALUES (?, ?)", (run, unit.key))
 
     def end(self, run: int, state: str) -> None:
-        """Record how a run ended, for now; one that was interrupted before it computed anything is removed."""
+        """Record how a run ended, for now."""
         with self._writing() as database:
             database.execute("UPDATE runs SET state = ?, ended = ? WHERE id = ?", (state, now(), run))
-            if (
-                state == INTERRUPTED
-                and not database.execute("SELECT key FROM units WHERE computed_by = ?", (run,)).fetchone()
-            ):
-                database.execute("DELETE FROM run_units WHERE run = ?", (run,))
-                database.execute("DELETE FROM runs WHERE id = ?", (run,))
 
 
 def now() -> str:

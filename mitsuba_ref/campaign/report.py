@@ -1,10 +1,7 @@
 """The report of a campaign: what is new since the last run, trends over runs, and the reference's own defects."""
 
-import contextlib
 import html
 import json
-import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -134,16 +131,11 @@ def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
 
 
 def keep_scenes(history: History, scenes: Mapping[Path, str]) -> None:
-    """Write the scenes of a report that are not there yet, and remove those of earlier ones. Raises OutputError."""
-    folder = history.path.with_suffix(FOLDER_SUFFIX)
+    """Write the scenes of a report that are not there yet. Raises OutputError."""
     for file, text in scenes.items():
-        if not os.path.exists(file):
-            check_folder(folder)
+        if not file.exists():
+            check_folder(history.path.with_suffix(FOLDER_SUFFIX))
             write_text(file, text)
-    for file in folder.glob("*.toml"):
-        if file not in scenes and re.fullmatch(rf"[0-9a-f]{{{NAME_DIGITS}}}", file.stem):
-            with contextlib.suppress(OSError):
-                file.unlink()
 
 
 def _trends(history: History) -> dict[str, tuple[TrendPoint, ...]]:
@@ -171,7 +163,11 @@ def _parts(report: CampaignReport) -> list[str]:
     if not report.runs:
         return [f"{report.history}: no run yet"]
     changes = {"new failures": report.new, "failures gone": report.gone, "failures as before": report.standing}
-    parts = [summary(report), *(_listed(title, each, merged(each)) for title, each in changes.items() if each)]
+    last = report.runs[-1]
+    numbers = f"{last.computed} computed by it, {last.rays} rays, {last.hits} hits"
+    failures = f"{last.failing} fail, {plural(len(report.new), 'new failure')}, {len(report.gone)} gone"
+    head = f"run {last.run}, {last.state}: {last.units} of {plural(last.requested, 'unit')}, {numbers}; {failures}"
+    parts = [head, *(_listed(title, each, merged(each)) for title, each in changes.items() if each)]
     rows = (
         (group, *map(str, (at.run, at.units, at.failing, at.rays, at.agree, round(at.rays_per_second))))
         for group, points in report.trends.items()
@@ -185,18 +181,15 @@ def _parts(report: CampaignReport) -> list[str]:
 TREND_COLUMNS = ("subject, kind and family", "run", "units", "fail", "rays", "agree", "rays/s")
 
 
-def summary(report: CampaignReport) -> str:
-    """The last run in a line."""
-    last = report.runs[-1]
-    numbers = f"{last.computed} computed by it, {last.rays} rays, {last.hits} hits"
-    failures = f"{last.failing} fail, {plural(len(report.new), 'new failure')}, {len(report.gone)} gone"
-    return f"run {last.run}, {last.state}: {last.units} of {plural(last.requested, 'unit')}, {numbers}; {failures}"
-
-
 def _listed(title: str, failures: Sequence[ReportedFailure], shown: Sequence[ReportedFailure]) -> str:
     """The number of failures, and those that are shown in their place."""
-    more = [f"  and {len(shown) - LISTED} more, which --json has"] if len(shown) > LISTED else []
-    return "\n".join([f"{title}: {len(failures)}", *map(_failure_text, shown[:LISTED]), *more])
+    lines = [f"{title}: {len(failures)}"]
+    for each in shown[:LISTED]:
+        many = f" ({each.times} in {plural(each.units, 'unit')})" if each.times > 1 else ""
+        more = each.what.partition("\n")[0], f"replay: {each.replay}" if each.replay else ""
+        lines += [f"  {each.cause}{many}: {each.unit}", *(f"      {line}" for line in more if line)]
+    lines += [f"  and {len(shown) - LISTED} more, which --json has"] if len(shown) > LISTED else []
+    return "\n".join(lines)
 
 
 def merged(failures: Iterable[ReportedFailure]) -> list[ReportedFailure]:
@@ -206,13 +199,6 @@ def merged(failures: Iterable[ReportedFailure]) -> list[ReportedFailure]:
         first = found.setdefault((each.group, each.cause), replace(each, times=0, units=0))
         found[each.group, each.cause] = replace(first, times=first.times + each.times, units=first.units + each.units)
     return list(found.values())
-
-
-def _failure_text(each: ReportedFailure) -> str:
-    many = f" ({each.times} in {plural(each.units, 'unit')})" if each.times > 1 else ""
-    replay = f"replay: {each.replay}" if each.replay else ""
-    lines = (f"  {each.cause}{many}: {each.unit}", each.what.partition("\n")[0], replay)
-    return "\n      ".join(filter(None, lines))
 
 
 # ---- page ----

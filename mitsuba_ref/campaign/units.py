@@ -32,9 +32,8 @@ from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import AGREE, REFERENCE_WRONG, TIE, UNLISTED, SceneVerdict
 from mitsuba_ref.reference.store import PROCESSOR, key_of, machine
 from mitsuba_ref.report.reproducers import has_other_light, reproducer, rows_by_case
-from mitsuba_ref.runner.engine import worker_identity
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of, with_inputs_hash
-from mitsuba_ref.runner.verdict_files import verdict_key
+from mitsuba_ref.runner.verdict_files import verdict_key, worker_identity
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.subjects.function import FUNCTION_PATTERN
 from mitsuba_ref.subjects.requests import parse_candidate
@@ -125,14 +124,17 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[dict[str, Any]]
     """Parameters of each unit of a job, of a scene file with hashes of its content."""
     if isinstance(job, SceneJob):
         for name, path in zip(display_names(job.scenes), job.scenes, strict=True):
-            key = _scene_key(path)
+            try:
+                content = verdict_key(SceneEntry("", path).load(), path) or secrets.token_hex()  # never the same
+            except SceneError:  # which its units report
+                content = key_of([read_input(path, "scene file")])
             for size in job.sizes or (None,):
                 inputs = with_inputs_hash(SceneEntry("", path, size)).inputs
                 for bounce in range(job.bounces + 1):
                     yield {
                         "scene": name,
                         "path": path,
-                        "content": key,
+                        "content": content,
                         "inputs": inputs,
                         "size": size,
                         "bounce": bounce,
@@ -157,14 +159,6 @@ def _parameters(job: AnyJob, seeds: tuple[int, ...]) -> Iterator[dict[str, Any]]
         for seed, family, count in product(seeds, job.families, job.rays):
             for value in job.values or BY_NAME[family].values:
                 yield {"seed": seed, "family": family, "value": value, "rays": count}
-
-
-def _scene_key(path: str) -> str:
-    """A hash of a scene and its files; never the same where that is not known."""
-    try:
-        return verdict_key(SceneEntry("", path).load(), path) or secrets.token_hex()
-    except SceneError:  # which its units report
-        return key_of([read_input(path, "scene file")])
 
 
 def _files_key(subject: Contender) -> str:
@@ -244,21 +238,18 @@ def _run_film(unit: Unit, subject: Subject | None) -> Result:
         options = (*sized, *words)
         entry = SceneEntry(at["scene"], at["path"], size, options=options, bounce=bounce, inputs=at["inputs"])
     found = judge_entry(entry, JudgeOptions(store=False, subject=subject, page_of=_one_ray_scenes))
-    return _of_verdict(found, scene.to_toml() if drawn else "")
-
-
-def _of_verdict(found: SceneVerdict, whole: str) -> Result:
-    """The result of a judged film. whole: text of its scene; "" for a file, which replays name."""
     if found.unsupported:
         return Result("", counts={"declined": 1})
     rays = sum(sum(each.values()) for each in found.kinds.values()) if found.bounce else found.pixels
     agree = (
         found.evidence if found.bounce else rays - sum(found.counts.values()) + found.counts[AGREE] + found.counts[TIE]
     )
-    return Result("", rays, found.hit_pixels, agree, found.counts, tuple(_failures(found, whole)))
+    failures = tuple(_failures(found, scene.to_toml() if drawn else ""))
+    return Result("", rays, found.hit_pixels, agree, found.counts, failures)
 
 
 def _failures(found: SceneVerdict, whole: str) -> Iterator[Failure]:
+    """Failures of a judged film. whole: text of its scene; "" for a file, which replays name."""
     alone: dict[str, str] = found.seen or {}  # scenes of one ray
     if found.problem:
         yield Failure(SUBJECT, "no verdict", found.problem, 1, found.replay, whole)

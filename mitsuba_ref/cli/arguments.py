@@ -6,7 +6,7 @@ import argparse
 import os
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from caster.cli.shared_arguments import (
     AOV_NAMES,
@@ -24,9 +24,6 @@ from caster.cli.shared_arguments import (
 )
 from mitsuba_ref.reference.interpreter import AS_IN_FILE_VARIABLE, PYTHON_VARIABLE, VARIANT_VARIABLE
 from mitsuba_ref.report import builtin_scenes
-
-if TYPE_CHECKING:
-    from mitsuba_ref.runner.shards import Shard
 
 RAY_KINDS = ("camera", "features", "silhouettes", "surface", "random")
 NUMBERS = {
@@ -307,11 +304,12 @@ def add_engine(add: Callable[..., argparse.Action]) -> None:
     add("--engine", engine, help_, metavar="ENGINE", default="local")
 
 
-def shard(text: str) -> Shard:
-    """The type of --shard; its module is loaded only where the option is given."""
-    from mitsuba_ref.runner.shards import parse_shard
-
-    return parse_shard(text)
+def shard(text: str) -> tuple[int, int]:
+    """Parse I/N, part I of N. Raises argparse.ArgumentTypeError."""
+    part, slash, parts = text.partition("/")
+    if slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts):
+        return int(part), int(parts)
+    raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
 
 
 def add_versions_arguments(parser: argparse.ArgumentParser) -> None:
@@ -339,9 +337,6 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "judge where these rays start, in place of hits: .npz of `rays` and of `parent`, the rows of --rays after "
     help_ += "whose hits they go on"
     add("--spawned", InputPath, help_, metavar="FILE")
-    help_ = "let the rays of --spawned start where a rule says: MODULE:FUNCTION of (points, normals, directions), or "
-    help_ += "mitsuba, pbrt, constant"
-    add("--spawn", str, help_, metavar="RULE")
     help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
     add("--precision", str, help_, metavar="PRECISION", choices=PRECISIONS)
     add("--row", whole, "judge this ray alone")
@@ -453,7 +448,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     add_workers(add, "units")
     add_engine(add)
     add_json(parser)
-    add("--html", OutputFile, "write the report as a page; - is standard output")
+    add("--html", OutputFile, "write the report as a page")
     add_reference(parser)
 
 

@@ -3,7 +3,6 @@
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any
 
@@ -30,12 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings; 4 when something needed is missing."""
-    return print_findings(report(), args.json)
-
-
-def report() -> list[Finding]:
-    """Find everything that the ray caster and the judge use."""
-    return [*caster_doctor.report(), *judge_findings()]
+    return print_findings([*caster_doctor.report(), *judge_findings()], args.json)
 
 
 def judge_findings() -> list[Finding]:
@@ -44,21 +38,19 @@ def judge_findings() -> list[Finding]:
         versions = [_pinned(name) for name in PINNED]
     except SceneError as error:
         versions = [Finding("mitsuba", False, True, str(error), USES["mitsuba"])]
-    missing = [finding.name for finding in versions if not finding.found]
-    found = [*versions, *_variants(missing)]
-    further = [] if missing else [name for name in rgb_variants() if name not in VARIANT_NAMES]
+    if not all(finding.found for finding in versions):  # which the variants need
+        return [*versions, kept_results()]
+    found = [*versions, *_variants()]
+    further = [name for name in rgb_variants() if name not in VARIANT_NAMES]
     for name in further:  # that only --variant takes, each tried in a child process
         why, adds = why_not(name), f"the reference in this variant: --variant {name}"
         found.append(Finding(name, not why, False, why or "works", adds))
     return [*found, kept_results()]
 
 
-def _variants(missing: Sequence[str]) -> list[Finding]:
-    """The variants that work, each tried in a child process, and the libLLVM in use. missing: packages for that."""
+def _variants() -> list[Finding]:
+    """The variants that work, each tried in a child process, and the libLLVM in use."""
     adds, llvm_adds = "Mitsuba's own ray intersections", "speed: rays in batches, through Mitsuba's LLVM variant"
-    if missing:
-        detail = f"needs {' and '.join(missing)} first"
-        return [Finding("variants", False, True, detail, adds), Finding("libLLVM", False, False, detail, llvm_adds)]
     found = usable_variants()
     reasons = found.details or found.why
     detail = ", ".join(found.names) or "no variant of Mitsuba works"

@@ -1,12 +1,13 @@
-"""`mitsuba-ref stress`, `bench` and `versions`: errors in sweeps, run time against error, two versions of Mitsuba."""
+"""`mitsuba-ref fuzz`, `stress`, `bench` and `versions`: random scenes, sweeps, run time against error, two Mitsubas."""
 
 import argparse
+import itertools
 import sys
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from caster.cli.shared_arguments import comma_separated
+from caster.cli.shared_arguments import comma_separated, scene_files
 from caster.description.errors import SceneError
 from caster.system.cluster import CallEnded
 from caster.system.process import DIFFERENCES, OK
@@ -20,7 +21,11 @@ from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aov
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
 from mitsuba_ref.cli.validate import selected_entries
-from mitsuba_ref.hard import BY_NAME
+from mitsuba_ref.fuzz import findings
+from mitsuba_ref.fuzz.cases import read_kept
+from mitsuba_ref.fuzz.checks import find
+from mitsuba_ref.fuzz.fuzz_run import Drawing, FuzzRun
+from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.swept_families import SPAWNED, SWEPT
 from mitsuba_ref.judge.pipeline import Task
@@ -41,7 +46,51 @@ from mitsuba_ref.stress import origins, sweeps
 from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 from mitsuba_ref.subjects.function import spawn_rule
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.subjects.subject import OURS, Subject
+
+# ---- fuzz ----
+
+FUZZ_SECONDS = 60.0
+
+
+def run_fuzz(args: argparse.Namespace) -> int:
+    """Fuzz; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
+    if args.replay is not None:
+        return replay_kept(args)
+    families = options.select(FAMILIES, "family", args.family)
+    limit = args.time if args.time is not None or args.examples is not None else FUZZ_SECONDS
+    examples = itertools.count() if args.examples is None else args.examples
+    names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
+    drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
+    about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
+    running = FuzzRun(drawing, examples, limit, *about)
+    if args.examples is not None and not args.examples:
+        raise options.NothingSelected("nothing selected: --examples 0 selects no example")
+    if args.judge_every or candidate:
+        variants.require_variants()  # a wrong choice of variant fails before any work
+    line = StatusLine()
+    try:
+        for done in running.run():
+            total = done.total
+            line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {done.seconds:.0f} s")
+    finally:  # what is found is kept, whatever ends the work
+        line.erase()
+        print_lines(findings.text(running.outcome), options.table_stream(args))
+        write_result(running.outcome, args.json)
+    return OK if running.outcome.ok else DIFFERENCES
+
+
+def replay_kept(args: argparse.Namespace) -> int:
+    """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
+    files = [each for each in scene_files([args.replay]) if not each.endswith(".json")]  # such as that of --json
+    if not files:
+        raise options.NothingSelected(f"nothing selected: no scene file in {args.replay}")
+    kept = [(file, read_kept(Path(file))) for file in files]
+    subject = options.requested_candidate(args) or OURS
+    replays = [(file, kind, find(case, kind, subject=subject)) for file, (kind, case) in kept]
+    print(findings.replay_text(replays))
+    return DIFFERENCES if any(findings for *_, findings in replays) else OK
+
 
 # ---- stress ----
 

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 from caster.description.errors import SceneError
 from caster.scene.files import load_scene
@@ -29,7 +30,7 @@ def run_compare(args: argparse.Namespace) -> int:
     if folders:
         raise SceneError(f"expected two files, or two folders; only {folders[0]} is a folder")
     result = compare_exr(args.ours, args.reference, tolerances, html=args.html, reading=reading)
-    print(result.model_dump_json(indent=2) if args.json else folded(result.format_table()))
+    print(result.model_dump_json(indent=2) if args.json else folded(str(result)))
     if args.html and not args.json:
         none = "report:     none, as nothing could be compared; an earlier one there is removed"
         print(f"\n{report_address(result.html) if result.html else none}")
@@ -44,7 +45,11 @@ def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: R
     if args.html:
         raise SceneError("--html: expected two files, not folders")
     folders = Path(args.ours), Path(args.reference)
-    ours, references = map(exr_files, folders)
+    anywhere: dict[str, Any] = {"recursive": True, "include_hidden": True}
+    ours, references = (
+        sorted(each for each in glob("**/*", **anywhere, root_dir=folder) if each.lower().endswith(".exr"))
+        for folder in folders
+    )
     if not references:
         raise NothingSelected(f"nothing selected: no .exr file in {folders[1]}")
     done = []
@@ -67,9 +72,3 @@ def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: R
         print_lines(f"\n{plural(len(done), 'image')}: {len(done) - failed} pass, {failed} fail")
     codes = {result.exit_code for result in done}
     return max(codes - {NOTHING_SELECTED}, default=OK) or max(codes)
-
-
-def exr_files(folder: Path) -> list[str]:
-    """Names of the EXR files in a folder and its subfolders."""
-    names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
-    return sorted(name for name in names if name.lower().endswith(".exr"))

@@ -1,8 +1,6 @@
 """`mitsuba-ref rays` and `mitsuba-ref judge`: rays for other programs, and their answers against Mitsuba."""
 
 import argparse
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +17,13 @@ from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.hard import rays
-from mitsuba_ref.judge.checks.secondary_rays import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, leaving_rays
+from mitsuba_ref.judge.checks.secondary_rays import LeavingRays, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
 from mitsuba_ref.report.results import print_lines, write_result
 from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
-from mitsuba_ref.runner.validation_run import RunOptions
 from mitsuba_ref.stress.origins import write_parent
-from mitsuba_ref.subjects.function import spawn_rule
 from mitsuba_ref.subjects.ray_files import (
     HIT_ARRAYS,
     RayList,
@@ -106,44 +102,33 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
 # ---- answers to any rays ----
 
 
-def run(args: argparse.Namespace) -> int:
+def run_judge(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
     if args.spawned:
         return run_spawned(args)
-    if not args.hits or args.spawn:
-        raise SceneError("judge: expected --hits, or --spawned with or without --spawn")
+    if not args.hits:
+        raise SceneError("judge: expected --hits, or --spawned")
     out = without_earlier_results(args)
     scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_arrays(args.hits, HIT_ARRAYS)
     words = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir", *REFERENCE_OPTIONS)
     entries = entries_of_hits(
         Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.row, words
     )
-    check_arrays(hits, len(found.rows), args.hits)
-    options = RunOptions(JudgeOptions(subject=entries[0].subject), html=args.html)
-    return judge_entries(args, entries, options, out)
-
-
-def check_arrays(hits: Mapping[str, Array], count: int, where: str) -> None:
-    """Raise SceneError for arrays that hold no answers to so many rays, by their shape or type."""
-    for name in hits.keys() & {"t", "any_hit"}:
+    for name in hits.keys() & {"t", "any_hit"}:  # arrays of a wrong shape or type
         try:
-            answer_of_hits(hits, np.ones(count, bool), any_hit=name == "any_hit")
+            answer_of_hits(hits, np.ones(len(found.rows), bool), any_hit=name == "any_hit")
         except NoAnswer as error:
-            raise SceneError(f"{where}: {error}") from error
+            raise SceneError(f"{args.hits}: {error}") from error
+    return judge_entries(args, entries, JudgeOptions(subject=entries[0].subject), out)
 
 
 # ---- origins of rays that leave surfaces ----
 
 
 def run_spawned(args: argparse.Namespace) -> int:
-    """Judge the origins and print their errors; 0 none, 1 some or no answer, 5 nothing to judge."""
+    """Judge the origins and print their errors; 0 none, 1 some, 5 nothing to judge."""
     refuse(args, "not together with --spawned", "hits", "html", "junit", "summary_md", "row", "precision")
-    try:
-        named = args.spawn in (None, MITSUBA, *RULES)
-        found = judge_origins(by_rule(listed_rays(args), args.spawn if named else spawn_rule(args.spawn)))
-    except NoAnswer as error:
-        print(f"FAIL  {error}", file=sys.stderr)
-        return DIFFERENCES
+    found = judge_origins(listed_rays(args))
     write_result({**found.counts(), "wrong": found.wrong.tolist()}, args.json)
     if (found.found == UNDECIDED).all():
         raise NothingSelected(f"nothing judged: {found.text()}: their parents hit nothing, or graze it")

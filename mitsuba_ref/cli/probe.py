@@ -16,7 +16,7 @@ from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.report.reproducers import write_reproducer
 
 
-def run(args: argparse.Namespace) -> int:
+def run_probe(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
     scene = load_scene_or_original(args)
     candidate = requested_candidate(args)  # its errors come before any work

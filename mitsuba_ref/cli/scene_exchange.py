@@ -64,7 +64,7 @@ def run_import(args: argparse.Namespace) -> int:
         found = from_course(args)
     target = Path(args.output).resolve()
     beside = target.with_suffix("")
-    folder, scene = target.parent, with_pictures(with_mesh_files(found.scene, beside), beside)
+    folder, scene = target.parent, with_files(found.scene, beside)
     head = [f"{Path(args.file).name}, by `mitsuba-ref import`.", *found.left_out]
     comment = "".join(f"# {printable(line, keep='')}\n" for line in head)
     write_text(args.output, comment + to_toml(scene, folder))
@@ -77,21 +77,18 @@ def run_import(args: argparse.Namespace) -> int:
     return OK
 
 
-def with_mesh_files(scene: Scene, folder: Path) -> Scene:
-    """The scene with meshes of arrays as PLY files, which are written into a folder. Raises OutputError."""
-    shapes, packed = list(scene.shapes), packed_float32(scene)
+def with_files(scene: Scene, folder: Path) -> Scene:
+    """The scene with meshes of arrays as PLY files, and bitmaps of 8 bits a channel as PNG files, in a folder.
+
+    Raises OutputError.
+    """
+    shapes, materials, packed = list(scene.shapes), dict(scene.materials), packed_float32(scene)
     for i, shape in enumerate(shapes):
         if isinstance(shape, Mesh) and shape.file is None:
             check_folder(folder)
             path = folder / f"{i:04d}-{safe_name(shape.name)}.ply"
             write_bytes(path, ply_bytes(packed.parts[i]))
             shapes[i] = shape.model_copy(update=dict.fromkeys(Mesh.ARRAYS) | {"file": str(path), "to_world": ()})
-    return scene.model_copy(update={"shapes": shapes})
-
-
-def with_pictures(scene: Scene, folder: Path) -> Scene:
-    """The scene with bitmaps of 8 bits a channel as PNG files, which are written into a folder. Raises OutputError."""
-    materials = dict(scene.materials)
     for i, (name, material) in enumerate(materials.items()):
         texture = material.texture
         if isinstance(texture, Bitmap) and texture.file is None and (png := texture.as_png()):
@@ -100,7 +97,7 @@ def with_pictures(scene: Scene, folder: Path) -> Scene:
             write_bytes(path, png.content)
             change = {"file": str(path), "data": None, "raw": png.raw}
             materials[name] = material.model_copy(update={"reflectance": texture.model_copy(update=change)})
-    return scene.model_copy(update={"materials": materials})
+    return scene.model_copy(update={"shapes": shapes, "materials": materials})
 
 
 def from_course(args: argparse.Namespace) -> ImportedScene:

@@ -8,11 +8,11 @@ import traceback
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from caster.cli.shared_arguments import check_film_size, display_names, scene_files
 from caster.description.errors import FileMissing, SceneError
-from caster.system.atomic_files import OutputError, write_text
+from caster.system.atomic_files import OutputError, check_folder, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES, REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import (
@@ -29,16 +29,15 @@ from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.ci_summaries import append, junit
-from mitsuba_ref.report.out_folder import OutFolder
 from mitsuba_ref.report.results import STANDARD_OUTPUT, print_lines, write_result
 from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, matching
 from mitsuba_ref.runner.shards import merge_verdicts
-from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
+from mitsuba_ref.runner.validation_run import VERDICT, ValidationRun, expected_toml, read_expected
 from mitsuba_ref.runner.verdict_files import read_verdict
 
 
-def run(args: argparse.Namespace) -> int:
+def run_validate(args: argparse.Namespace) -> int:
     """Validate the selected scenes; 0 all pass, 1 some do not, 5 nothing was selected, 130 interrupted."""
     entries = selected_entries(args)
     out = without_earlier_results(args)
@@ -47,20 +46,17 @@ def run(args: argparse.Namespace) -> int:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
     if args.bounces and candidate is not None and not candidate.takes_rays:
         raise SceneError(f"--bounces: expected a candidate that takes rays; {candidate.name} renders images")
-    options = RunOptions(
+    return judge_entries(
+        args,
+        entries,
         JudgeOptions(timeout=args.timeout, store=args.store, subject=candidate, thorough=args.thorough),
-        args.workers,
-        args.engine,
-        args.maxfail,
-        args.html,
-        args.shard,
-        read_expected(args.expected) if args.expected else None,
-        args.skip_unsupported,
-        args.min_scenes,
+        out,
+        expected=read_expected(args.expected) if args.expected else None,
+        **{name: getattr(args, name) for name in RUN_OPTIONS},
     )
-    return judge_entries(args, entries, options, out)
 
 
+RUN_OPTIONS = ("workers", "engine", "maxfail", "shard", "skip_unsupported", "min_scenes")  # of ValidationRun
 BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the program"
 
 
@@ -102,7 +98,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     return entries
 
 
-def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
+def without_earlier_results(args: argparse.Namespace) -> Path | None:
     """Remove verdicts of an earlier run, which would be taken for this one's if it ended without any; the --out folder.
 
     Before a candidate is loaded, which may end the process.
@@ -110,25 +106,30 @@ def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
     for path in {args.json, args.junit} - {None, STANDARD_OUTPUT}:
         if os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
             os.unlink(path)
-    return OutFolder(Path(args.out)) if args.out else None
+    if not args.out:
+        return None
+    folder = check_folder(Path(args.out))
+    (folder / VERDICT).unlink(missing_ok=True)
+    return folder
 
 
 def judge_entries(
-    args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None
+    args: argparse.Namespace, entries: Sequence[SceneEntry], judge: JudgeOptions, out: Path | None, **more: Any
 ) -> int:
-    """Print a row for each scene, and write the files that the options name; the exit code."""
+    """Print a row for each scene, and write the files that the options name; the exit code. more: of ValidationRun."""
     variants.require_variants()  # its errors come before any work
     start, stream = time.perf_counter(), table_stream(args)
-    running = ValidationRun(entries, options, out)
+    running = ValidationRun(entries, judge, out, args.html, **more)
     try:
         width = max((len(entry.name) for entry in running.entries), default=0)
         print_lines(table_head(width), stream)
         with closing(running.verdicts()) as verdicts:
-            for verdict in verdicts:  # as soon as it and all scenes before it are done
-                print_lines(table_row(verdict, width), stream)
+            for scene in verdicts:  # as soon as it and all scenes before it are done
+                print_lines(table_row(scene, width), stream)
     finally:  # whatever ends the work, the results so far are written
-        write_results(running, args, time.perf_counter() - start, stream)
-    return exit_code(running.verdict(), running.errors)
+        verdict = running.verdict()
+        write_results(running, verdict, args, time.perf_counter() - start, stream)
+    return exit_code(verdict, running.errors)
 
 
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
@@ -149,12 +150,17 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float, stream: TextIO) -> None:
+def write_results(
+    running: ValidationRun, verdict: Verdict, args: argparse.Namespace, seconds: float, stream: TextIO
+) -> None:
     """Write the report files, then print failures and the summary."""
-    verdict = running.verdict()
+    expected = getattr(args, "write_expected", None)
     try:
         write_verdict_files(verdict, args, seconds)
-        write_expected(verdict, args)
+        if expected and verdict.not_judged:
+            print(f"{expected}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
+        elif expected:
+            write_text(expected, expected_toml(verdict.scenes))
         report = str(Path(args.html) / "index.html") if args.html else ""
         if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}", stream)
@@ -162,8 +168,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if args.html:
             print_lines(report_address(args.html), stream)
     finally:
-        if removed := running.finish():
-            print(removed, file=sys.stderr)
+        running.finish(verdict)
 
 
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
@@ -175,21 +180,12 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
         append(args.summary_md, verdict, seconds)
 
 
-def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
-    """Write --write-expected, unless some scenes were not judged. Raises OutputError."""
-    path = getattr(args, "write_expected", None)
-    if path and verdict.not_judged:
-        print(f"{path}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
-    elif path:
-        write_text(path, expected_toml(verdict.scenes))
-
-
 # ---- mitsuba-ref merge ----
 
 
 def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
-    places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
+    places = [str(Path(place) / VERDICT) if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
     stream = table_stream(args)
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)

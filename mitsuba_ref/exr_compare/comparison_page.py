@@ -117,7 +117,7 @@ def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers
         "window": pair.reference.data_window,
         "layers": {name: layer.ours.shape[-1] for name, layer in layers.items()},
         "facts": result.measures,
-        "text": result.format_table(),
+        "text": str(result),
     }
     if pair.mask_channel:
         about["hit"] = image(pair.hit_ours.ravel() + 2 * pair.hit_reference.ravel(), (result.height, result.width))

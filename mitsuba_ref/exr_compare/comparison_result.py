@@ -13,7 +13,6 @@ from mitsuba_ref.report.results import aligned, percent
 
 LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
 LEGEND_OF_SLOPE = ", slope = its change per scene unit there"
-TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at")
 
 
 class Worst(BaseModel):
@@ -81,9 +80,6 @@ class FileComparison(BaseModel):
     html: str = ""
     measures: tuple[tuple[str, str], ...] = ()
 
-    def __str__(self) -> str:
-        return self.format_table()
-
     def __repr__(self) -> str:
         return f"<FileComparison: {'pass' if self.ok else 'differences' if self.width else 'not comparable'}>"
 
@@ -116,8 +112,8 @@ class FileComparison(BaseModel):
         if not (failing and self.scene.isprintable() and self.scene):
             return ""
         worst = failing[0].worst
-        at = (str(worst.x), str(worst.y)) if worst else ("0", "0")
-        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene, *at])
+        assert worst is not None  # of a group that fails
+        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene, str(worst.x), str(worst.y)])
 
     def findings(self) -> Iterator[str]:
         """What was found, without the words PASS and FAIL."""
@@ -134,7 +130,7 @@ class FileComparison(BaseModel):
             yield f"{pixels} agree in {self.compared} channels{nearest}"
         yield from self.reasons
 
-    def format_table(self) -> str:
+    def __str__(self) -> str:
         """What `mitsuba-ref compare` prints: one line a group, then the verdict and the next command."""
         lines = [f"ours:      {self.ours}", f"reference: {self.reference}"]
         lines += [f"reading:   {line}" for line in self.stated]
@@ -144,7 +140,12 @@ class FileComparison(BaseModel):
             lines += [f"{self.width} x {self.height} pixels, {hits}", ""]
             bounds = "; ".join(f"{group.name} {group.bound}" for group in self.groups)
             legend = (LEGEND if "K*u*S" in bounds else "") + (LEGEND_OF_SLOPE if "slope" in bounds else "")
-            lines += [*aligned([TITLES, *map(_row, self.groups)], left=1), f"bounds:    {bounds}{legend}", ""]
+            rows = [("quantity", "agree", "differ", "not finite", "worst", "at")]
+            for group in self.groups:
+                worst = group.worst
+                ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("equal", "-")
+                rows.append((group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at))
+            lines += [*aligned(rows, left=1), f"bounds:    {bounds}{legend}", ""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
         lines += self.messages
@@ -157,20 +158,13 @@ class FileComparison(BaseModel):
         return [group for group in self.groups if group.differ or group.non_finite]
 
 
-def _row(group: GroupResult) -> tuple[str, ...]:
-    worst = group.worst
-    ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("equal", "-")
-    return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at
-
-
 def _failure(group: GroupResult, total: int, pixels: str) -> str:
     share = f" ({percent(group.differ, total)})" if total else ""
     what = "are hit in one image only or differ in A" if group.name == "hit" else "beyond their bound"
     found = [f"{group.differ} of {pixels}{share} {what}"] if group.differ else []
     found += [f"{group.non_finite} pixels not finite"] if group.non_finite else []
-    text = f"{group.name}: {', '.join(found)}"
-    if group.worst is None:
-        return text
     w = group.worst
+    assert w is not None  # of a group that fails
     far = f"worst {w.ratio:.3g}x" if math.isfinite(w.ratio) else "first"
-    return f"{text}, {far} at ({w.x}, {w.y}) in {w.channel}: ours {w.ours:.9g}, reference {w.reference:.9g}"
+    at = f"{far} at ({w.x}, {w.y}) in {w.channel}: ours {w.ours:.9g}, reference {w.reference:.9g}"
+    return f"{group.name}: {', '.join(found)}, {at}"

@@ -84,6 +84,10 @@ def compare_exr(
     judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
     groups, bad, _ = zip(*judged, strict=True)
     differing = int(np.any(bad, axis=0).sum())
+    if pair.mask_channel:
+        empty = not (pair.hit_ours | pair.hit_reference).any()
+    else:
+        empty = not any(exr.channels[name].any() for exr in (a, b) for name in pair.names)
     failed = any(group.non_finite for group in groups) or differing > tolerances.max_pixels
     height, width = pair.hit_ours.shape
     more = (f"{SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading))
@@ -99,7 +103,7 @@ def compare_exr(
         allowed_pixels=tolerances.max_pixels,
         compared=len(pair.names),
         groups=groups,
-        exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
+        exit_code=DIFFERENCES if failed else NOTHING_SELECTED if empty else OK,
         hints=tuple(more) if failed else (),
         scene=next((exr.provenance[SCENE] for exr in (a, b) if SCENE in exr.provenance), ""),
     )
@@ -134,13 +138,6 @@ def _channels(arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
         else:
             planes = np.moveaxis(a, -1, 0)
             yield from zip(LAYERS.get(name) or [f"{name}.{c}" for c in "RGBA"[: len(planes)]], planes, strict=True)
-
-
-def _is_empty(pair: ExrPair) -> bool:
-    """Whether nothing was hit; without a mask channel, whether every number of both images is 0."""
-    if pair.mask_channel:
-        return not (pair.hit_ours | pair.hit_reference).any()
-    return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
 
 
 # ---- what is compared ----

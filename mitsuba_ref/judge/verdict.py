@@ -281,7 +281,8 @@ class Verdict:
     scenes: tuple[SceneVerdict, ...]
     scene_count: int = 1  # how many scenes were to be judged
     names: tuple[str, ...] = ()  # of these scenes, as far as known
-    shard: str = ""  # such as "2/4": these are the scenes of one of several runs
+    # such as "2/4": these are the scenes of one of several runs
+    shard: Annotated[str, Field(pattern=r"^([1-9]\d{0,8}/[1-9]\d{0,8})?$")] = ""
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged, and for a shard of all scenes
     judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine, processor

@@ -64,12 +64,6 @@ def junit(verdict: Verdict) -> str:
     """
     top = Element("testsuites", name=NAME)
     suite = SubElement(top, "testsuite", name=NAME)
-    about = {"shard": verdict.shard, "candidate": printable(verdict.candidate)}
-    if any(about.values()):
-        properties = SubElement(suite, "properties")
-        for name, value in about.items():
-            if value:
-                SubElement(properties, "property", name=name, value=value)
     for check in broken_checks(verdict):
         add_case(suite, "candidate", check.name, "failure", check.what, check.name)
     for scene in verdict.scenes:
@@ -79,8 +73,7 @@ def junit(verdict: Verdict) -> str:
     for counted, tag in (("tests", "testcase"), ("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
         for element in (top, suite):
             element.set(counted, str(len(list(suite.iter(tag)))))
-    for element in (top, suite):
-        element.set("time", f"{sum(spent(scene) for scene in verdict.scenes):.3f}")
+            element.set("time", f"{sum(spent(scene) for scene in verdict.scenes):.3f}")
     indent(top)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(top, encoding="unicode") + "\n"
 
@@ -107,7 +100,8 @@ def add_scene(suite: XmlElement, scene: SceneVerdict) -> None:
     elif not scene.ok:
         outcome = "failure", failure_text(scene), scene.failures[0].verdict if scene.failures else "check"
     more = {"time": f"{spent(scene):.3f}"} | ({"file": printable(scene.path)} if scene.path else {})
-    case = add_case(suite, class_name(scene), scene.name, *outcome, **more)
+    folder = PurePath(scene.path).parent.name or "scenes"  # by which servers group
+    case = add_case(suite, printable(folder), scene.name, *outcome, **more)
     width = len(printable(scene.name, keep=""))
     SubElement(case, "system-out").text = printable(f"{table_head(width)}\n{table_row(scene, width)}")
 
@@ -115,9 +109,3 @@ def add_scene(suite: XmlElement, scene: SceneVerdict) -> None:
 def spent(scene: SceneVerdict) -> float:
     """Seconds of this run."""
     return 0.0 if scene.kept else scene.seconds
-
-
-def class_name(scene: SceneVerdict) -> str:
-    """The scene's folder with dots, such as tests.renders, by which servers group."""
-    parts = [part for part in PurePath(scene.path).parent.parts if part not in ("/", ".", "..")]
-    return printable(".".join(part.replace(".", "-") for part in parts[-2:])) or "scenes"

@@ -12,7 +12,7 @@ from caster.cameras.single_ray import Ray
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.scene.model import Material, Scene
+from caster.scene.model import Scene
 from caster.scene.textures import MeshColors
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
@@ -48,9 +48,8 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Ite
     notes: list[str] = []
     for prim in sorted(involved_prims(judge, row, lit)):
         shape, note = shape_of(judge, prim)
-        if shape.get("material"):
-            shape["material"], material = material_of(judge, prim, shape)
-            materials[shape["material"]] = material
+        if material := shape.get("material"):
+            materials[material] = scene.materials[material]
         if shape not in shapes:
             shapes.append(shape)
         notes += note
@@ -96,30 +95,18 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     k = int(prim - packed.first[i])
     name = f"{judge.scene.shape_names()[i]}, prim {k}"
     whole = judge.scene.shapes[i]
+    material = judge.scene.materials.get(getattr(whole, "material", None) or "")
     try:
         shape = kind_of(packed.parts[i]).describe(packed.parts[i], k)
         kept = packs_identically(packed.parts[i], k, pack_one(shape))
+        kept = kept and not isinstance(material and material.texture, MeshColors)  # colours belong to a whole mesh
     except (SceneError, LookupError):
         shape, kept = {}, False
     if not kept:  # as it was described, with all its primitives
         note = f"note: {judge.scene.shape_names()[i]} is here as a whole, as it was described"
         return whole.model_dump(by_alias=True, exclude_none=True), [note]
-    notes = []
-    if note := reference_of(whole).stand_in_note:
-        notes.append(f"note: {note}")
-    return shape | {"name": name, **kept_fields(whole)}, notes
-
-
-def material_of(judge: Judge, prim: int, shape: dict[str, Any]) -> tuple[str, Material]:
-    """(name, material) of the description of one primitive; with the colours of its corners, if its mesh has them."""
-    name = shape["material"]
-    material, packed = judge.scene.materials[name], judge.model.packed
-    if not isinstance(material.texture, MeshColors) or shape["type"] != "triangle":
-        return name, material
-    number = np.array([prim])
-    faces = packed.parts[int(packed.shape_of(number)[0])].faces
-    colors = MeshColors(vertices=material.texture.at_corners(faces, packed.index_in_shape(number))[0])
-    return f"{name}, prim {prim}", material.model_copy(update={"reflectance": colors})
+    note = reference_of(whole).stand_in_note
+    return shape | {"name": name, **kept_fields(whole)}, [f"note: {note}"] if note else []
 
 
 def pack_one(shape: dict[str, Any]) -> Packed:

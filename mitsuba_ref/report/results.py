@@ -29,17 +29,11 @@ def json_text(result: Any) -> str:
 
 
 def write_result(result: Any, file: str | None) -> None:
-    """Write the JSON of a result to the file of --json, if it was given. Raises OutputError."""
-    if file:
-        write_output(json_text(result), file)
-
-
-def write_output(text: str, file: str) -> None:
-    """Write a file, or to standard output for "-". Raises OutputError."""
+    """Write the JSON of a result to the file of --json, "-" for standard output, if given. Raises OutputError."""
     if file == STANDARD_OUTPUT:
-        sys.stdout.write(text)
-    else:
-        write_text(file, text)
+        sys.stdout.write(json_text(result))
+    elif file:
+        write_text(file, json_text(result))
 
 
 def libllvm() -> str:

@@ -21,12 +21,10 @@ from mitsuba_ref.judge.verdict import (
     UNLISTED,
     UNSUPPORTED,
     WRONG,
-    Failure,
     SceneCheck,
     SceneVerdict,
     Verdict,
 )
-from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.results import percent, plural
 
 LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
@@ -93,12 +91,12 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
     if scene.problem:
         first, *rest = scene.problem.splitlines()
         lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest)]
-        lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
+        lines += [f"      replay:    {scene.replay}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
     for check in broken_checks(scene):
         beyond = f"{check.ratio:.3g}x its bound; " if isfinite(check.ratio) else ""
-        lines += [f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}", f"      replay:    {replay(scene)}"]
+        lines += [f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}", f"      replay:    {scene.replay}"]
     if scene.failures:
         worst = scene.failures[0]
         far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
@@ -114,20 +112,15 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
             lines.append(head + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
-        lines += [*_answers(scene, worst, report, "".join(causes)), *notes]
+        lines += [
+            f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.subject}",
+            f"      reference: {worst.reference}",
+            f"      exact:     {worst.exact}",
+        ]
+        lines += [] if worst.reason in "".join(causes) else [f"      why:       {worst.reason}"]
+        lines += [f"      look:      {report}#s={quote(scene.name)}&x={worst.x}&y={worst.y}"] if report else []
+        lines += [f"      replay:    {worst.replay}", *notes]
     return "\n".join(lines)
-
-
-def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:
-    """Every answer at a failing pixel, the reason for its class unless it was said, where to look, the next command."""
-    yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.subject}"
-    yield f"      reference: {worst.reference}"
-    yield f"      exact:     {worst.exact}"
-    if worst.reason not in said:
-        yield f"      why:       {worst.reason}"
-    if report:
-        yield f"      look:      {report}#s={quote(scene.name)}&x={worst.x}&y={worst.y}"
-    yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
 
 
 def broken_checks(found: SceneVerdict | Verdict) -> list[SceneCheck]:
@@ -329,4 +322,4 @@ def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
         count = first.composition.primitives
         size = f"{plural(count, 'primitive')}, {first.pixels} pixels"
         yield f"look first: {first.name}, the simplest of them ({size})"
-        yield f"            {replay(first, (first.failures[0].x, first.failures[0].y) if first.failures else None)}"
+        yield f"            {first.failures[0].replay if first.failures else first.replay}"

@@ -6,7 +6,7 @@ Results are the same on every engine, since a call depends on its arguments alon
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ from caster.system import process
 from caster.system.cluster import Cluster, Outcome
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
-from mitsuba_ref.reference.store import LIBRARIES, PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
-from mitsuba_ref.runner.verdict_files import OUR_SETTINGS, code_hash
+from mitsuba_ref.reference.store import LIBRARIES, PROCESSOR, machine
+from mitsuba_ref.runner.verdict_files import SETTINGS, SOURCES, worker_identity
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS, Workers
 
 LOCAL = "local"
@@ -98,7 +98,7 @@ def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True
     """
     count = workers or core_count()
     if name != LOCAL:
-        with Cluster(name, count, worker_identity, *SAME_EVERYWHERE) as cluster:
+        with Cluster(name, count, worker_identity, SOURCES, SETTINGS, "python", *LIBRARIES) as cluster:
             yield Engine(count, seconds, cluster=cluster)
         return
     with Workers(seconds) if forks else contextlib.nullcontext() as pool:
@@ -120,12 +120,3 @@ def outcomes_of(
         closing(engine.map(function, calls, then)) as outcomes,
     ):
         yield from outcomes
-
-
-SOURCES, SETTINGS = "source code", "environment"
-SAME_EVERYWHERE = (SOURCES, SETTINGS, "python", *LIBRARIES)
-
-
-def worker_identity() -> Mapping[str, str]:
-    """All that results depend on, by name; the processor may differ, and verdicts name it."""
-    return {**machine(), SOURCES: code_hash(), SETTINGS: environment_settings(*OUR_SETTINGS, *REFERENCE_SETTINGS)}

@@ -1,10 +1,10 @@
-"""Validation of many scenes, several at a time; an interruption keeps the verdicts that are done."""
+"""Judging a scene of many: its entry, its stored verdict, its replay; and the selection of scenes by name."""
 
 import json
 import os
 import re
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,12 +25,10 @@ from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.reference.store import StoreFolder, key_of, local_store
+from mitsuba_ref.reference.store import key_of, local_store
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.runner.engine import LOCAL, Engine, opened
 from mitsuba_ref.runner.verdict_files import verdict_key
-from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.subjects.ray_files import HitsFile, RayList, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -122,42 +120,6 @@ def entries_of_hits(
     ]
 
 
-def engine_for(
-    entries: Sequence[SceneEntry], options: "JudgeOptions", name: str = LOCAL, workers: int | None = None
-) -> AbstractContextManager[Engine]:
-    """The engine that judges these entries: a candidate runs in this process. Raises ClusterError."""
-    ours = options.subject is None and all(entry.subject is None for entry in entries)
-    return opened(name, workers, CALL_TIMEOUTS * max(options.timeout, DEFAULT_TIMEOUT), forks=ours)
-
-
-def run(
-    entries: Sequence[SceneEntry],
-    options: "JudgeOptions",
-    engine: Engine,
-    maxfail: int | None = None,
-    record: Callable[[SceneVerdict], SceneVerdict] = lambda verdict: verdict,
-    on_error: Callable[[Exception], None] = lambda error: None,
-) -> Generator[SceneVerdict, None, None]:
-    """Verdicts in the order of the entries; ends after maxfail failures.
-
-    record: called as soon as a verdict with its page is there; returns it without the page, to keep memory small. For
-    a scene that cannot be loaded, judged or written, the verdict has the problem, and on_error gets the exception.
-    """
-    failed = 0
-    calls = ((with_inputs_hash(entry) if engine.cluster else entry, options) for entry in entries)
-    with closing(engine.map(judge_entry, calls, record)) as outcomes:
-        for entry, outcome in zip(entries, outcomes, strict=True):
-            verdict = outcome.result
-            if outcome.error:
-                if not isinstance(outcome.error, CallEnded):
-                    on_error(outcome.error)
-                verdict = with_replay(SceneVerdict(entry.name, entry.path, problem=problem_of(outcome.error)))
-            yield verdict
-            failed += not (verdict.ok or verdict.waived)
-            if maxfail is not None and failed >= maxfail:
-                return
-
-
 def problem_of(error: Exception) -> str:
     """The reason why a scene has no verdict."""
     if isinstance(error, CallEnded):
@@ -202,8 +164,9 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     store = local_store() if storable else None
     about = {"size": entry.size, "options": entry.options, "thorough": options.thorough}
     key = verdict_key(scene, entry.path, **about) if store else ""
-    if store and key and (found := _stored_verdict(store, key)):
-        return found
+    if store and key:
+        with suppress(ValidationError):  # there is none
+            return replace(TypeAdapter(SceneVerdict).validate_json(store.get(key) or b""), kept=True)
     try:
         verdict = judge_loaded(entry, scene, options)
     except OutputError:
@@ -214,14 +177,6 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     if store and key and not verdict.problem:
         store.put(key, json.dumps(verdict.to_dict(), allow_nan=False).encode())
     return verdict
-
-
-def _stored_verdict(store: StoreFolder, key: str) -> SceneVerdict | None:
-    """The stored verdict of equal inputs, marked as kept."""
-    try:
-        return replace(TypeAdapter(SceneVerdict).validate_json(store.get(key) or b""), kept=True)
-    except ValidationError:
-        return None
 
 
 def judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> SceneVerdict:
@@ -264,10 +219,8 @@ def _completed(verdict: SceneVerdict, entry: SceneEntry, scene: Scene, options: 
 
 OPERATORS = ("and", "or", "not", "(", ")")
 
-Predicate = Callable[[str], bool]
 
-
-def matching(expression: str | None) -> Predicate:
+def matching(expression: str | None) -> Callable[[str], bool]:
     """A predicate on names by an expression of parts of names, `and`, `or`, `not` and parentheses.
 
     Raises SceneError for a malformed expression.

@@ -22,8 +22,8 @@ OPTION = "--mitsuba-ref"
 REPORT = "mitsuba-ref-report"
 
 VERDICT = "verdict"  # the name of a scene's test
-SUFFIXES = (".toml", ".json")
-SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
+# A file without any of them is no scene: pyproject.toml and package.json may lie in the same folder.
+SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -122,18 +122,12 @@ class ScenePlugin:
         self.named = {Path(config.invocation_params.dir, arg.split("::")[0]).resolve() for arg in config.args}
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-        if file_path.suffix.lower() in SUFFIXES and (file_path.resolve() in self.named or is_scene(file_path)):
+        if file_path.suffix.lower() not in (".toml", ".json") or not os.access(file_path, os.R_OK):
+            return None
+        text = file_path.read_text(encoding="utf-8", errors="replace")
+        if file_path.resolve() in self.named or any(mark in text for mark in SCENE_MARKERS):
             return SceneFile.from_parent(parent, path=file_path)
         return None
-
-
-def is_scene(path: Path) -> bool:
-    """Whether a file looks like a scene: pyproject.toml and package.json may lie in the same folder."""
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
-    return any(mark in text for mark in SCENE_MARKERS)
 
 
 class SceneFile(pytest.File):

@@ -3,93 +3,113 @@
 import json
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
 
 from caster.description.fields import Description, Index
 from caster.description.input_files import read_text
 from caster.description.parsing import model_of_text
 from caster.rendering.threads import core_count
+from caster.system.atomic_files import write_text
+from caster.system.cluster import CallEnded
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.checks import run_checks
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck, SceneVerdict, Verdict
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import PROCESSOR
 from mitsuba_ref.report.html_report import HtmlReport, page_record
-from mitsuba_ref.report.out_folder import OutFolder
-from mitsuba_ref.report.verdict_text import failing_checks
-from mitsuba_ref.runner import many_scenes
-from mitsuba_ref.runner.engine import LOCAL
-from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
-from mitsuba_ref.runner.shards import Shard, run_identity, scenes_of_shard
+from mitsuba_ref.report.reproducers import with_replay
+from mitsuba_ref.report.results import json_text
+from mitsuba_ref.report.verdict_text import failing_checks, failing_scenes
+from mitsuba_ref.runner.engine import LOCAL, opened
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of, with_inputs_hash
+from mitsuba_ref.runner.shards import run_identity
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 
-
-@dataclass(frozen=True)
-class RunOptions:
-    """Options of a run beside its scenes."""
-
-    judge: JudgeOptions
-    workers: int | None = None  # scenes at a time; None: one for each core
-    engine: str = LOCAL  # that judges them
-    maxfail: int | None = None  # failing scenes after which the run ends
-    html: str | None = None  # folder or file of the HTML report
-    shard: Shard | None = None
-    expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
-    skip_unsupported: bool = False  # nor by scenes that the candidate declines
-    min_scenes: int = 0  # that have to be judged for the run to pass
+VERDICT = "verdict.json"  # in the folder of --out
 
 
 class ValidationRun:
-    """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far."""
+    """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far.
 
-    def __init__(self, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None = None) -> None:
-        """entries: the scenes of all shards. out: for the images of both sides. Raises OutputError."""
-        self.every, self.options = entries, options
-        self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
-        self.candidate_name = options.judge.subject.name if options.judge.subject else ""
+    A scene that cannot be loaded, judged or written has a verdict with the problem, and its exception is in `errors`.
+    """
+
+    def __init__(
+        self,
+        entries: Sequence[SceneEntry],
+        judge: JudgeOptions,
+        out: Path | None = None,
+        html: str | None = None,
+        *,
+        workers: int | None = None,
+        engine: str = LOCAL,
+        maxfail: int | None = None,
+        shard: tuple[int, int] | None = None,
+        expected: "ExpectedFailures | None" = None,
+        skip_unsupported: bool = False,
+        min_scenes: int = 0,
+    ) -> None:
+        """entries: the scenes of all shards; shard: part I of N, which is judged.
+
+        out, html: folders of the images of both sides and of the HTML report.
+        workers: scenes at a time; None: one for each core. maxfail: failing scenes after which the run ends.
+        expected: known failures, by which the run does not fail; skip_unsupported: nor by scenes that the candidate
+        declines. min_scenes: that have to be judged for the run to pass. Raises OutputError.
+        """
+        self.entries = entries[shard[0] - 1 :: shard[1]] if shard else entries
+        self.candidate_name = judge.subject.name if judge.subject else ""
+        self.html = HtmlReport(html, len(self.entries), self.candidate_name) if html else None
+        self.judge, self.out = judge._replace(folder=out, page_of=page_record if self.html else None), out
+        self.workers, self.engine, self.maxfail = workers or core_count(), engine, maxfail
+        self.expected, self.skip_unsupported, self.min_scenes = expected, skip_unsupported, min_scenes
+        self.all_entries, self.shard = entries, shard
         self.done: list[SceneVerdict] = []
         self.processors = frozenset[str]()  # of the machines that judged
-        self.errors: list[Exception] = []  # of scenes that could not be loaded, judged or written
+        self.errors: list[Exception] = []
         self.checks: tuple[SceneCheck, ...] = ()
-        self.out = out
-        self.html = HtmlReport(options.html, len(self.entries), self.candidate_name) if options.html else None
 
     def verdicts(self) -> Generator[SceneVerdict, None, None]:
         """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
-        workers = self.options.workers or core_count()
-        self.checks = run_checks(self.options.judge.subject)
+        self.checks = run_checks(self.judge.subject)
         # A thread for each core: more would wait for each other, a twentieth of the time.
-        threads = None if self.candidate_name else max(1, core_count() // max(1, min(workers, len(self.entries))))
-        threads = threads if self.options.engine == LOCAL else 1
-        folder, page_of = self.out.folder if self.out else None, page_record if self.html else None
-        judge = self.options.judge._replace(folder=folder, page_of=page_of, threads=threads)
-        with (
-            many_scenes.engine_for(self.entries, judge, self.options.engine, workers) as engine,
-            closing(
-                many_scenes.run(self.entries, judge, engine, self.options.maxfail, self._recorded, self.errors.append)
-            ) as running,
-            closing(ProgressBar("validating", len(self.entries))) as bar,
-        ):
-            for verdict in running:
-                self.done.append(verdict)
-                self.processors = engine.processors
-                if self.html:
-                    self.html.add(verdict)
-                with bar.aside():
-                    yield verdict
-                bar.add(1, f"{len(self.done)} of {len(self.entries)} scenes")
+        threads = None if self.candidate_name else max(1, core_count() // max(1, min(self.workers, len(self.entries))))
+        judge = self.judge._replace(threads=threads if self.engine == LOCAL else 1)
+        ours = judge.subject is None and all(entry.subject is None for entry in self.entries)
+        seconds = CALL_TIMEOUTS * max(judge.timeout, DEFAULT_TIMEOUT)
+        with opened(self.engine, self.workers, seconds, forks=ours) as engine:  # a candidate runs in this process
+            calls = ((with_inputs_hash(entry) if engine.cluster else entry, judge) for entry in self.entries)
+            with (
+                closing(engine.map(judge_entry, calls, self._recorded)) as outcomes,
+                closing(ProgressBar("validating", len(self.entries))) as bar,
+            ):
+                for entry, outcome in zip(self.entries, outcomes, strict=True):
+                    verdict = outcome.result
+                    if error := outcome.error:
+                        self.errors += [] if isinstance(error, CallEnded) else [error]
+                        verdict = with_replay(SceneVerdict(entry.name, entry.path, problem=problem_of(error)))
+                    self.done.append(verdict)
+                    self.processors = engine.processors
+                    if self.html:
+                        self.html.add(verdict)
+                    with bar.aside():
+                        yield verdict
+                    bar.add(1, f"{len(self.done)} of {len(self.entries)} scenes")
+                    if self.maxfail and len(failing_scenes(self.done)) >= self.maxfail:
+                        return
 
     def _recorded(self, found: SceneVerdict) -> SceneVerdict:
         """The verdict with its page written and, if it is waived, with the reason."""
         verdict = self.html.keep(found) if self.html else found
-        if verdict.unsupported and self.options.skip_unsupported:
+        if verdict.unsupported and self.skip_unsupported:
             return replace(verdict, waived=UNSUPPORTED)
-        expected = self.options.expected
-        return replace(verdict, waived=EXPECTED) if expected and expected.covers(verdict) else verdict
+        return replace(verdict, waived=EXPECTED) if self.expected and self.expected.covers(verdict) else verdict
 
     def verdict(self) -> Verdict:
         """The verdict of the scenes done so far."""
         names = tuple(entry.name for entry in self.entries)
+        identity = run_identity(self.all_entries, self.shard)
         judged_on = {PROCESSOR: " and ".join(sorted(self.processors))} if self.processors else {}
         return Verdict(
             tuple(self.done),
@@ -97,19 +117,16 @@ class ValidationRun:
             names=names,
             requested_candidate=self.candidate_name,
             checks=self.checks,
-            min_scenes=self.options.min_scenes,
-            fixed=self.options.expected.fixed(self.done) if self.options.expected else (),
-            **self._identity | {"judged_with": self._identity["judged_with"] | judged_on},
+            min_scenes=self.min_scenes,
+            fixed=self.expected.fixed(self.done) if self.expected else (),
+            **identity | {"judged_with": identity["judged_with"] | judged_on},
         )
 
-    @cached_property
-    def _identity(self) -> dict[str, Any]:
-        return run_identity(self.every, self.options.shard)
-
-    def finish(self) -> str:
-        """Write verdict.json and the report; what was removed of an earlier run. Raises OutputError."""
+    def finish(self, verdict: Verdict) -> None:
+        """Write verdict.json and the report. Raises OutputError."""
         try:
-            return self.out.finish(self.verdict()) if self.out else ""
+            if self.out:
+                write_text(self.out / VERDICT, json_text(verdict))
         finally:
             if self.html:
                 self.html.write()

@@ -17,10 +17,11 @@ from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import read_input
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
-from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import VERDICT_FORMAT, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine
+from mitsuba_ref.report.results import json_text
 
 MAX_INPUT_CHARACTERS = 60  # of a wrong value in a message
 PACKAGES = ("caster", "mitsuba_ref")
@@ -81,6 +82,15 @@ def code_hash(modules: Collection[str] | None = None) -> str:
     return key_of(part for name in chosen for part in (name, known[name].digest))
 
 
+SOURCES, SETTINGS = "source code", "environment"
+
+
+def worker_identity(modules: Collection[str] | None = None) -> dict[str, str]:
+    """All that results depend on, by name: of these modules, or of all. The processor may differ; verdicts name it."""
+    settings = environment_settings(*OUR_SETTINGS, *REFERENCE_SETTINGS)
+    return {**machine(), SOURCES: code_hash(modules), SETTINGS: settings}
+
+
 def verdict_key(scene: Scene, path: str, **about: Any) -> str:
     """A hash of all that the verdict of a scene depends on: scene, mesh and source bytes, versions, variant, options.
 
@@ -96,26 +106,14 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
         return ""
     known = {
         "format": VERDICT_FORMAT,
-        "code": code_hash(None if about.get("thorough") else modules_for(scene)),
         "scene": scene.sha256(),  # mesh files by their bytes
         "path": path,  # replays name it
         "variant": variant,
         "library": variants.environment_for(variant),  # libLLVM
-        "settings": environment_settings(*OUR_SETTINGS, *REFERENCE_SETTINGS),
-        **machine(),
+        **worker_identity(None if about.get("thorough") else modules_for(scene)),
         **about,
     }
     return key_of(["verdict", json.dumps(known, sort_keys=True, default=str), file])
-
-
-def check_ok(record: dict[str, Any], found: SceneVerdict | Verdict) -> None:
-    """Raise ValueError if the `ok` of a record does not follow from its numbers."""
-    try:
-        ok = json.loads(json.dumps(found.to_dict(), allow_nan=False))["ok"]
-    except KeyError as error:  # a class has no count
-        raise ValueError(f"expected counts of {error}") from error
-    if record.get("ok") is not ok:
-        raise ValueError(f"its ok is {record.get('ok')}, by its numbers it is {ok}")
 
 
 class UnreadableVerdict(FileMissing):
@@ -131,14 +129,18 @@ def read_verdict(path: str | os.PathLike[str]) -> Verdict:
         if form != VERDICT_FORMAT:
             raise ValueError(f"expected a verdict of format {VERDICT_FORMAT}, got {form!r}: judge these scenes again")
         found = TypeAdapter(Verdict).validate_python(record)
-        for each, scene in zip(record["scenes"], found.scenes, strict=True):
-            check_ok(each, scene)
-        check_ok(record, found)
+        json_text(found)  # raises for numbers that no verdict has
+        right = [scene.ok for scene in found.scenes] + [found.ok]
+        for written, ok in zip((*record["scenes"], record), right, strict=True):
+            if written.get("ok") is not ok:
+                raise ValueError(f"its ok is {written.get('ok')}, by its numbers it is {ok}")
     except ValidationError as error:
         first = error.errors()[0]
         got = repr(first["input"])[:MAX_INPUT_CHARACTERS]
         where = ".".join(map(str, first["loc"]))
         raise UnreadableVerdict(f"{path}: not a whole verdict: {where}: {first['msg']}, got {got}") from error
+    except KeyError as error:
+        raise UnreadableVerdict(f"{path}: not a whole verdict: expected counts of {error}") from error
     except (ValueError, RecursionError) as error:
         raise UnreadableVerdict(f"{path}: not a whole verdict: {error}") from error
     return found

@@ -74,35 +74,29 @@ class VersionComparison:
 Evidence = dict[str, Array]  # one row a pixel; of a quantity (n, 2, c), for ours and the reference
 
 
-def evidence_of(seen: Seen) -> Evidence:
-    """The evidence of a window with one version."""
-    judge, uv = seen.judge, seen.judge.pixels.uv
-    assert uv is not None  # our caster gives it
-    found: Evidence = {HIT: judge.reference_prim, AGREE: seen.judgement.is_class(AGREE)}
-    for name in QUANTITIES:
-        sides = uv[:2] if name == "uv" else judge.pixels.pair(name)
-        found[name] = np.stack([values.reshape(len(judge.hit), -1) for values in sides], axis=1)
-    return found
-
-
-def judge_with(python: str, task: Task) -> tuple[SceneVerdict, Evidence]:
-    """The verdict of a scene with the Mitsuba of an interpreter, and its evidence, empty if there was no answer."""
+def compare_scene(pythons: Sequence[str], task: Task) -> SceneComparison:
+    """A scene with the Mitsuba of two interpreters. Raises SceneError for a scene that cannot be judged."""
     windows: list[Evidence] = []
 
     def collect(verdict: SceneVerdict, images: str) -> SceneVerdict:
         if isinstance(verdict.seen, Seen):
-            windows.append(evidence_of(verdict.seen))
+            judge, uv = verdict.seen.judge, verdict.seen.judge.pixels.uv
+            assert uv is not None  # our caster gives it
+            windows.append({HIT: judge.reference_prim, AGREE: verdict.seen.judgement.is_class(AGREE)})
+            for name in QUANTITIES:
+                sides = uv[:2] if name == "uv" else judge.pixels.pair(name)
+                windows[-1][name] = np.stack([values.reshape(len(judge.hit), -1) for values in sides], axis=1)
         return verdict
 
-    with chosen(python):
-        verdict = judge_film(task, collect)
-    return verdict, {} if verdict.problem else {k: np.concatenate([each[k] for each in windows]) for k in windows[0]}
-
-
-def compare_scene(pythons: Sequence[str], task: Task) -> SceneComparison:
-    """A scene with the Mitsuba of two interpreters. Raises SceneError for a scene that cannot be judged."""
-    verdicts, (a, b) = zip(*(judge_with(python, task) for python in pythons), strict=True)
-    return SceneComparison(task.name, verdicts, tuple(_changes(task.scene, a, b)) if a and b else ())
+    verdicts, films = list[SceneVerdict](), list[Evidence]()
+    for python in pythons:
+        windows.clear()
+        with chosen(python):
+            verdicts.append(judge_film(task, collect))
+        films.append({name: np.concatenate([each[name] for each in windows]) for name in (windows or [{}])[0]})
+    answered = not any(verdict.problem for verdict in verdicts)
+    changes = tuple(_changes(task.scene, *films)) if answered else ()
+    return SceneComparison(task.name, (verdicts[0], verdicts[1]), changes)
 
 
 def _changes(scene: Scene, a: Evidence, b: Evidence) -> Iterator[QuantityChange]:

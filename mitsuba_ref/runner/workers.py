@@ -59,10 +59,14 @@ class Worker:
 
     def reply(self, seconds: float | None) -> Any:
         """The reply to a call. Raises as `call` does."""
+        end = math.inf if seconds is None else time.monotonic() + seconds
         try:
-            if not self._has_replied(seconds):
-                self.close()
-                raise CallEnded(f"killed after {seconds:g} s without an answer")
+            while not self.connection.poll(POLL_SECONDS):
+                if not self.process.is_alive():  # another process may hold its pipe open
+                    raise EOFError
+                if time.monotonic() > end:
+                    self.close()
+                    raise CallEnded(f"killed after {seconds:g} s without an answer")
             result, error = self.connection.recv()
         except (EOFError, OSError):
             self.process.join(STOP_SECONDS)
@@ -72,16 +76,6 @@ class Worker:
         if error is not None:
             raise error
         return result
-
-    def _has_replied(self, seconds: float | None) -> bool:
-        """Wait for a reply. Raises EOFError after the end of the worker, whose pipe another process may hold open."""
-        end = math.inf if seconds is None else time.monotonic() + seconds
-        while not self.connection.poll(POLL_SECONDS):
-            if not self.process.is_alive():
-                raise EOFError
-            if time.monotonic() > end:
-                return False
-        return True
 
     def close(self) -> list[str]:
         """End the worker and remove its files; returns the last Python calls before a crash."""

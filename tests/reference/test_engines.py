@@ -20,8 +20,8 @@ from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench.machine import CORES, LOAD
 from mitsuba_ref.bench.result import SceneResult
 from mitsuba_ref.cli import experiments
-from mitsuba_ref.runner.engine import worker_identity
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, with_inputs_hash
+from mitsuba_ref.runner.verdict_files import worker_identity
 
 ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
@@ -145,23 +145,21 @@ def test_a_killed_scheduler_ends_the_run_with_what_is_finished(jobs, monkeypatch
     assert found == [(10 + i) ** 2 for i in range(len(found))] and 20 <= len(found) < 500
 
 
-def test_a_worker_that_differs_is_refused(jobs):
+@pytest.mark.parametrize(
+    ("workers", "says"),
+    [
+        ({"SAME": "2"}, "its same is 2, expected 1"),
+        ({"threads": 2}, "a worker has 2 threads, expected one: --nthreads 1"),
+    ],
+)
+def test_a_worker_that_differs_is_refused(jobs, workers, says):
     with (
-        scheduler(SAME="2") as (address, _),
+        scheduler(**workers) as (address, _),
         Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster,
-        pytest.raises(ClusterError, match="its same is 2, expected 1"),
+        pytest.raises(ClusterError, match=says),
     ):
         list(outcomes_of(cluster, jobs, [1]))
     assert touched() == []
-
-
-def test_workers_of_several_threads_are_refused(jobs):
-    with (
-        scheduler(threads=2) as (address, _),
-        Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster,
-        pytest.raises(ClusterError, match="a worker has 2 threads, expected one: --nthreads 1"),
-    ):
-        list(outcomes_of(cluster, jobs, [1]))
 
 
 @pytest.mark.slow("starts clusters")
@@ -171,12 +169,21 @@ def test_a_scheduler_without_workers_is_named(jobs, monkeypatch):
         Cluster(f"dask:{address}", 1, jobs.what)
 
 
-def test_no_scheduler_at_the_address(monkeypatch, capsys):
+NO_ENGINE = "expected local, dask or dask:tcp://HOST:PORT"
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("dask:tcp://127.0.0.1:9", "--engine dask:tcp://127.0.0.1:9: no scheduler with workers answers there"),
+        ("dask:tls://127.0.0.1:9", "expected Dask's settings of TLS"),
+        *((name, NO_ENGINE) for name in ("ray", "dask:", "dask:127.0.0.1", "dask:http://h:1")),
+    ],
+)
+def test_a_name_that_is_no_engine_or_does_not_answer(monkeypatch, capsys, name, says):
     monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 0.5)
-    assert main(["validate", "--builtin", "spheres", "--engine", "dask:tcp://127.0.0.1:9"]) == 2
-    assert "--engine dask:tcp://127.0.0.1:9: no scheduler with workers answers there" in " ".join(
-        capsys.readouterr().err.split()
-    )
+    assert main(["validate", "--builtin", "spheres", "--engine", name]) == 2
+    assert says in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.slow("starts clusters")
@@ -199,21 +206,10 @@ def test_ctrl_c_in_a_terminal_ends_the_run_and_its_workers_quietly(tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.name not in ("told", "fuzz-failures")] == []
 
 
-def test_tls_without_its_settings(capsys):
-    assert main(["validate", "--builtin", "spheres", "--engine", "dask:tls://127.0.0.1:9"]) == 2
-    assert "expected Dask's settings of TLS" in " ".join(capsys.readouterr().err.split())
-
-
 def test_without_the_package(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["validate", "--builtin", "spheres", "--engine", "dask"]) == 2
     assert "pip install 'ray-reference[cluster]'" in " ".join(capsys.readouterr().err.split())
-
-
-@pytest.mark.parametrize("name", ["ray", "dask:", "dask:127.0.0.1", "dask:http://h:1"])
-def test_a_name_that_is_no_engine(name, capsys):
-    assert main(["validate", "--builtin", "spheres", "--engine", name]) == 2
-    assert "expected local, dask or dask:tcp://HOST:PORT" in " ".join(capsys.readouterr().err.split())
 
 
 def without_times(record):

@@ -66,7 +66,7 @@ def test_mitsubas_own_image_of_our_export_passes_with_its_conventions_stated(tmp
     aovs = caster.render(scene, aovs=("depth", "normal", "shading_normal", "position"))
     write_exr(tmp_path / "ours.exr", aovs_to_channels(aovs), provenance(scene, __version__))
     result = compare_exr(tmp_path / "ours.exr", tmp_path / "theirs.exr", reading=Reading(depth="near", scene=scene))
-    assert result.ok, result.format_table()
+    assert result.ok, str(result)
     assert {group.name for group in result.groups} >= {"hit", "depth", "normal", "shading_normal", "position"}
     stated = "\n".join(result.stated)
     assert "depth.T is depth.Z" in stated and "depth is the distance from the near plane along the ray" in stated

@@ -16,7 +16,7 @@ from caster.rendering import hits, images
 from caster.rendering.casting import find_nearest
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.cli import fuzz as command
+from mitsuba_ref.cli import experiments as command
 from mitsuba_ref.fuzz import checks
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.checks import compare_with_mitsuba, failure_mode

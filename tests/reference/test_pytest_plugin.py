@@ -194,16 +194,21 @@ def declines(scene, o, d):
 """
 
 
-def test_a_candidate_is_judged(folder):
+@pytest.mark.parametrize(
+    ("candidate", "outcome", "says"),
+    [
+        ("somebodys:right", {"passed": 1}, []),
+        ("somebodys:turned", {"failed": 1}, ["the normal is turned round", "--candidate somebodys:turned"]),
+        ("somebodys:declines", {"failed": 1}, ["no spheres"]),
+        ("nobodys:caster", {"failed": 1}, ["there is no module nobodys"]),
+    ],
+)
+def test_a_candidate_is_judged(folder, candidate, outcome, says):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
-    found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
-    found.assert_outcomes(passed=1)
-    found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:turned")
-    text = found.stdout.str()
-    found.assert_outcomes(failed=1)
-    assert "the normal is turned round" in text and " good  " in text
-    assert "probe scenes/good.toml" in text and " --candidate somebodys:turned" in text
+    found = run(folder, *words, "--mitsuba-ref-candidate", candidate)
+    found.assert_outcomes(**outcome)
+    assert all(words in found.stdout.str() for words in says)
 
 
 def test_a_check_of_the_run_fails_every_scene(folder, monkeypatch):
@@ -215,15 +220,6 @@ def test_a_check_of_the_run_fails_every_scene(folder, monkeypatch):
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
     found.assert_outcomes(failed=1)
     assert "FAIL  ray_conventions: it ignores t_max" in found.stdout.str()
-
-
-def test_a_candidate_that_declines_or_is_not_there_fails(folder):
-    folder.makepyfile(somebodys=CASTERS)
-    words = ("--mitsuba-ref", "scenes/good.toml")
-    for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "there is no module nobodys")):
-        found = run(folder, *words, "--mitsuba-ref-candidate", name)
-        found.assert_outcomes(failed=1)
-        assert says in found.stdout.str()
 
 
 SCENES_IN_TEST = ("good", "touching-spheres")

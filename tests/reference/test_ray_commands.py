@@ -42,18 +42,9 @@ def compiled(tmp_path, source):
         pytest.skip("no C compiler: cc")
     (tmp_path / "caster.c").write_text(source)
     shutil.copy(EXAMPLES / "c/rays_and_hits.h", tmp_path)
-    words = [
-        cc,
-        "-O2",
-        "-std=c99",
-        "-Wall",
-        "-Werror",
-        "-o",
-        str(tmp_path / "caster"),
-        str(tmp_path / "caster.c"),
-        "-lm",
-    ]
-    subprocess.run(words, check=True)
+    subprocess.run(
+        [cc, *["-O2", "-std=c99", "-Wall", "-Werror", "-o", "caster", "caster.c", "-lm"]], cwd=tmp_path, check=True
+    )
     return f"{tmp_path / 'caster'} {{mesh}} {{rays}} {{hits}}"
 
 

@@ -16,7 +16,7 @@ from mitsuba_ref.cli.validate import exit_code
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck
 from mitsuba_ref.report import validation
 from mitsuba_ref.runner.many_scenes import JudgeOptions
-from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
+from mitsuba_ref.runner.validation_run import ValidationRun, expected_toml, read_expected
 
 BUILTIN = ROOT / "mitsuba_ref" / "runner" / "builtin"
 SCENES = sorted(BUILTIN.glob("*/*.toml"))
@@ -86,7 +86,7 @@ def test_a_mesh_that_cannot_be_seen_is_an_error_with_its_name(tmp_path, monkeypa
 
 def judged(*scenes, **settings):
     """The verdict of a run over these, as it waives them."""
-    run = ValidationRun([], RunOptions(JudgeOptions(), **settings))
+    run = ValidationRun([], JudgeOptions(), **settings)
     run.done = [run._recorded(each) for each in scenes]
     return replace(run.verdict(), scene_count=len(scenes), names=tuple(each.name for each in scenes))
 

@@ -12,9 +12,7 @@ from mitsuba_ref.report.reproducers import replay
 # order). `file` is GitLab's. Everything else is refused.
 SCHEMA = {
     "testsuites": ({"name", "tests", "failures", "errors", "time"}, {"skipped"}, ("testsuite",)),
-    "testsuite": ({"name", "tests", "failures", "errors", "skipped", "time"}, set(), ("properties", "testcase")),
-    "properties": (set(), set(), ("property",)),
-    "property": ({"name", "value"}, set(), ()),
+    "testsuite": ({"name", "tests", "failures", "errors", "skipped", "time"}, set(), ("testcase",)),
     "testcase": ({"classname", "name", "time"}, {"file"}, ("skipped", "error", "failure", "system-out")),
     "failure": ({"message", "type"}, set(), ()),
     "error": ({"message", "type"}, set(), ()),
@@ -59,8 +57,6 @@ VERDICTS = {
     "not judged": verdict(scene("a"), names=("b", "c")),
     "nothing": verdict(),
     "nasty": verdict(scene('<a & "b">\x07\'\ud800', ok=False)),
-    "shard": verdict(scene("a"), shard="1/2", selected=("a", "b")),
-    "candidate": verdict(names=("a",), requested_candidate="mine\x07:trace"),
 }
 
 
@@ -69,11 +65,6 @@ def test_what_is_written_is_what_servers_read(found):
     text = junit(found)
     text.encode("utf-8")
     assert list(problems(ElementTree.fromstring(text))) == []
-
-
-def test_a_run_that_judged_a_candidate_states_it_even_where_no_scene_is_done():
-    (stated,) = parsed(VERDICTS["candidate"]).iter("property")
-    assert stated.attrib == {"name": "candidate", "value": "mine\\u0007:trace"}
 
 
 def test_a_failure_states_in_one_line_and_in_full_and_an_error_is_no_failure():

@@ -40,8 +40,8 @@ def compared(tmp_path):
 def test_every_channel_of_two_files_of_another_program_is_compared(compared, name):
     assert compared(foreign(), foreign()).ok
     result = compared(foreign(**{name: 0.25}), foreign())
-    assert result.exit_code == 1 and result.differing_pixels == 1, result.format_table()
-    assert "left out" not in result.format_table()
+    assert result.exit_code == 1 and result.differing_pixels == 1, str(result)
+    assert "left out" not in str(result)
 
 
 def test_the_page_has_each_layer_and_states_measures_for_information(compared, tmp_path, capsys):
@@ -52,7 +52,7 @@ def test_the_page_has_each_layer_and_states_measures_for_information(compared, t
     assert found["roughness: mean squared error"] == f"{0.25 / (HEIGHT * WIDTH):.3g}"
     assert found["diffuse: largest difference"] == f"0.25 at ({AT[1]}, {AT[0]})"
     assert "diffuse: FLIP, mean" in found and not any(what.startswith("depth") for what in found)  # which is equal
-    assert "for information:" in result.format_table() and (tmp_path / "page/index.html").is_file()
+    assert "for information:" in str(result) and (tmp_path / "page/index.html").is_file()
     words = ["compare", *(str(tmp_path / f"{each}.exr") for each in "ab"), "--html", str(tmp_path / "page")]
     assert main(words) == 1
     address = (tmp_path / "page/index.html").as_uri()

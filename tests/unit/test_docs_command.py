@@ -13,16 +13,6 @@ from mitsuba_ref.cli import pages
 DOCS = ROOT / "docs"
 
 
-@pytest.fixture
-def pager(tmp_path, monkeypatch):
-    """A terminal of 60 columns, whose pager writes into this file."""
-    for stream in (sys.stdin, sys.stdout):
-        monkeypatch.setattr(stream, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "60")
-    monkeypatch.setenv("PAGER", f"cat > '{tmp_path}/page'")
-    return tmp_path / "page"
-
-
 def test_every_page_is_in_the_wheel():
     data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
     packed = {path.resolve() for pattern in data["mitsuba_ref"] for path in (ROOT / "mitsuba_ref").glob(pattern)}
@@ -36,19 +26,15 @@ def test_what_is_not_a_terminal_gets_the_page_as_it_is(name, capsys):
     assert capsys.readouterr().out == (DOCS / path.get(name, "internals/jit.md")).read_text()
 
 
-def test_a_terminal_gets_it_formatted_by_the_pager(pager, monkeypatch):
+def test_a_terminal_gets_it_formatted(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv("NO_COLOR", "1")
     assert main(["docs", "concepts"]) == 0
-    formatted = pager.read_text()
+    formatted = capsys.readouterr().out
     text = re.sub(r"\x1b\[[\d;]*m", "", formatted)
     assert "##" not in text and "**ours**" not in text and "From a difference to a class" in text
     assert max(map(len, text.splitlines())) == 60 and text != formatted
-
-
-def test_without_a_keyboard_for_a_pager_it_is_printed(pager, monkeypatch, capsys):
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: False)
-    assert main(["docs", "concepts"]) == 0
-    assert "From a difference to a class" in capsys.readouterr().out and not pager.exists()
 
 
 def test_a_misspelt_page_is_suggested_and_the_list_is_named(capsys):

@@ -68,9 +68,7 @@ def test_only_something_needed_makes_the_machine_unusable(capsys, needed, code, 
 
 
 def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
-    names = [finding.name for finding in judge_doctor.report()]
-    assert names[: len(NAMED)] == list(NAMED)
-    assert {"mitsuba", "drjit", "variants", "libLLVM"} <= set(names)
+    assert {"mitsuba", "drjit", "variants", "libLLVM"} <= {each.name for each in judge_doctor.judge_findings()}
 
 
 @pytest.mark.parametrize(
@@ -101,4 +99,4 @@ def test_another_mitsuba_is_used_but_stated_and_another_drjit_is_refused(monkeyp
     found = with_variants(monkeypatch)
     assert found["mitsuba"].found and found["mitsuba"].detail.endswith("the bounds belong to 3.9.9")
     assert not found["drjit"].found
-    assert found["variants"].detail == "needs drjit first"
+    assert "variants" not in found, "they need drjit"

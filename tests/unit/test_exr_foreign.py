@@ -56,10 +56,6 @@ def compared(folder: Path, ours: Channels, theirs: Channels, **reading: object) 
     return compare_exr(folder / "ours.exr", folder / "theirs.exr", reading=Reading(**reading))
 
 
-def text(result: FileComparison) -> str:
-    return result.format_table()
-
-
 # ---- names ----
 
 PROGRAMS = {
@@ -81,13 +77,13 @@ def test_the_names_of_other_programs_are_recognised_and_stated(tmp_path, ours, p
     names = PROGRAMS[program]
     miss = {np.inf: None, 1e10: "1e10", FLT_MAX: "FLT_MAX"}[names.get("miss", np.inf)]
     result = compared(tmp_path, ours, named(ours, **names), miss=miss)
-    assert result.ok, text(result)
+    assert result.ok, str(result)
     groups = {group.name for group in result.groups}
     assert groups == {"hit", *names} - {"miss"}
     if names["depth"] != "depth.Z":
-        assert f"{names['depth']} is depth.Z" in text(result)
-    assert "the distance from the eye along the ray" in text(result)
-    assert "not compared, since only one file has them: A" in text(result)
+        assert f"{names['depth']} is depth.Z" in str(result)
+    assert "the distance from the eye along the ray" in str(result)
+    assert "not compared, since only one file has them: A" in str(result)
 
 
 def test_parts_are_read_as_one_image_and_stated(tmp_path, ours):
@@ -97,14 +93,14 @@ def test_parts_are_read_as_one_image_and_stated(tmp_path, ours):
     write_exr(tmp_path / "ours.exr", ours, provenance(SCENE, __version__))
     OpenEXR.File([OpenEXR.Part({}, channels, name) for name, channels in parts.items()]).write(str(tmp_path / "p.exr"))
     result = compare_exr(tmp_path / "ours.exr", tmp_path / "p.exr")
-    assert result.ok and {group.name for group in result.groups} == {"hit", "depth", "shading_normal"}, text(result)
-    assert "3 parts as one image: RGBA, Z, N" in text(result)
+    assert result.ok and {group.name for group in result.groups} == {"hit", "depth", "shading_normal"}, str(result)
+    assert "3 parts as one image: RGBA, Z, N" in str(result)
 
 
 def test_what_is_not_known_is_left_out_and_stated(tmp_path, ours):
     theirs = named(ours, depth="depth.T") | {"Cryptomatte00.R": ours["A"]}
     result = compared(tmp_path, ours, theirs)
-    assert result.ok and "not recognised, and left out: Cryptomatte00.R (--map OURS=THEIRS)" in text(result)
+    assert result.ok and "not recognised, and left out: Cryptomatte00.R (--map OURS=THEIRS)" in str(result)
 
 
 def test_two_channels_that_may_be_the_same_are_a_question_not_a_guess(tmp_path, ours):
@@ -114,13 +110,13 @@ def test_two_channels_that_may_be_the_same_are_a_question_not_a_guess(tmp_path, 
     ):
         compared(tmp_path, ours, theirs)
     said = compared(tmp_path, ours, theirs, maps=("depth=ViewLayer.Depth.Z",))
-    assert said.ok, text(said)
+    assert said.ok, str(said)
 
 
 def test_any_name_can_be_mapped(tmp_path, ours):
     theirs = named(ours, depth="range", normal="facing:xyz")
     result = compared(tmp_path, ours, theirs, maps=("depth=range", "normal=facing"))
-    assert result.ok and {group.name for group in result.groups} == {"hit", "depth", "normal"}, text(result)
+    assert result.ok and {group.name for group in result.groups} == {"hit", "depth", "normal"}, str(result)
     single = ("depth=range", "normal.X=facing.x", "normal.Y=facing.y", "normal.Z=facing.z")
     assert compared(tmp_path, ours, theirs, maps=single).ok
 
@@ -146,7 +142,7 @@ def test_a_map_that_maps_nothing_is_an_error(tmp_path, ours, option, says):
 def test_the_depth_of_a_miss_is_stated_by_an_option(tmp_path, ours, miss):
     theirs = named(ours, depth="Z", miss=FLT_MAX if miss == "FLT_MAX" else float(miss))
     stated = compared(tmp_path, ours, theirs, miss=miss)
-    assert stated.ok and f"a miss is depth {miss} ({(ours['A'] == 0).sum()} pixels)" in text(stated)
+    assert stated.ok and f"a miss is depth {miss} ({(ours['A'] == 0).sum()} pixels)" in str(stated)
     assert compared(tmp_path, ours, theirs).exit_code == 1
 
 
@@ -164,7 +160,7 @@ def test_a_pixel_that_only_they_miss_fails(tmp_path, ours):
     y, x = np.argwhere(ours["A"] == 1)[50]
     theirs["Z"][y, x] = 1e10
     result = compared(tmp_path, ours, theirs, miss="1e10")
-    assert result.exit_code == 1 and f"({x}, {y})" in text(result)
+    assert result.exit_code == 1 and f"({x}, {y})" in str(result)
 
 
 def rays_of(scene: caster.Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -195,9 +191,9 @@ def from_near(ours: Channels) -> Channels:
 )
 def test_what_depth_measures_is_stated_by_an_option_and_hinted_at_without_it(tmp_path, ours, change, reading, words):
     stated = compared(tmp_path, ours, change(ours), **reading)
-    assert stated.ok and f"depth is {words}" in text(stated), text(stated)
+    assert stated.ok and f"depth is {words}" in str(stated), str(stated)
     result = compared(tmp_path, ours, change(ours), **{**reading, "depth": None})
-    assert result.exit_code == 1 and f"depth looks like {words}: --depth {reading['depth']}" in text(result)
+    assert result.exit_code == 1 and f"depth looks like {words}: --depth {reading['depth']}" in str(result)
     assert compared(tmp_path, ours, named(ours, depth="Z"), **reading).exit_code == 1
 
 
@@ -212,16 +208,16 @@ def test_without_a_camera_z_cannot_be_read_and_the_way_out_is_stated(tmp_path, o
 def test_a_mask_that_the_stated_misses_contradict_is_left_out(tmp_path, ours):
     theirs = named(ours, depth="Z", miss=1e10) | {"A": np.ones_like(ours["A"])}
     result = compared(tmp_path, ours, theirs, miss="1e10")
-    assert result.ok and "and A, which differs, is left out" in text(result), text(result)
+    assert result.ok and "and A, which differs, is left out" in str(result), str(result)
 
 
 def test_an_image_is_not_taken_for_our_diffuse(tmp_path, ours):
     lit = ours | dict.fromkeys("RGB", ours["A"])
     theirs = named(ours, depth="Z") | dict.fromkeys("RGB", 0.5 * ours["A"])
     result = compared(tmp_path, lit, theirs)
-    assert result.ok and "not recognised, and left out: B, G, R" in text(result)
+    assert result.ok and "not recognised, and left out: B, G, R" in str(result)
     asked = compared(tmp_path, lit, theirs, maps=("R=R", "G=G", "B=B"))
-    assert asked.exit_code == 1 and "FAIL  diffuse" in text(asked)
+    assert asked.exit_code == 1 and "FAIL  diffuse" in str(asked)
 
 
 def test_a_file_of_ours_is_never_converted(tmp_path, ours):

@@ -1,10 +1,9 @@
-"""What earlier runs left in --out and --html goes, and is counted; what anybody else put there stays."""
+"""What earlier runs left in --out and --html is not taken for results of this one."""
 
 import json
 import re
 from pathlib import Path
 
-import pytest
 from verdict_factory import scene as made
 
 from caster.system.terminal import ProgressBar
@@ -14,101 +13,32 @@ from mitsuba_ref.report.scene_record import SceneRecord
 from mitsuba_ref.runner import many_scenes, validation_run
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
-IMAGES = ("ours", "reference", "verdict")
-REMOVED = "of an earlier run, now obsolete"
 
 
-@pytest.fixture
-def judged(tmp_path, monkeypatch):
-    """Scenes a, b and c, and a judge that is made up; run(...) gives the exit code."""
+def test_an_interrupted_run_has_its_own_verdict_and_spares_what_others_wrote(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("scenes").mkdir()
-    for name in "abc":
+    for folder in ("scenes", "out"):
+        Path(folder).mkdir()
+    for name in "ab":
         Path(f"scenes/{name}.toml").write_text(SCENE)
-    settings = {"reproducers": (), "problem": (), "stop": 0}
+    for file in ("verdict.json", "b.ours.exr", "notes.txt"):
+        Path("out", file).write_text("of an earlier run")
 
     def validate(scene, name, path, *, folder, **options):
-        if name in settings["problem"]:
-            return made(name, ok=False, problem="crash")
-        assert not Path("out/verdict.json").exists()  # of an earlier run, while this one goes on
-        reproducers = tuple(f"{name}.{each}.toml" for each in settings["reproducers"])
-        files = (*(f"{name}.{which}.exr" for which in IMAGES), *reproducers)
-        for file in files:
-            (folder / file).write_bytes(f"{file}\n".encode())
-        return made(name, reproducers=reproducers, files=files)
+        assert not Path("out/verdict.json").exists()  # while this run goes on
+        (folder / f"{name}.ours.exr").write_text("of this run")
+        return made(name, files=(f"{name}.ours.exr",))
 
     class Bar(ProgressBar):
         def add(self, count, extra=""):
-            if extra.startswith(f"{settings['stop']} of "):
-                raise KeyboardInterrupt
+            raise KeyboardInterrupt
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
     monkeypatch.setattr(validation_run, "ProgressBar", Bar)
-
-    def run(*words, places=("scenes",), **changed):
-        settings.update({"reproducers": (), "problem": (), "stop": 0} | changed)
-        return main(["validate", *places, "--out", "out", "-j", "1", *words])
-
-    return run
-
-
-def names(suffix=""):
-    return sorted(path.name for path in Path("out").iterdir() if path.name.endswith(suffix))
-
-
-def test_files_that_this_tool_did_not_write_stay(judged, capsys):
-    Path("out").mkdir()
-    for file in ("a.mine.exr", "notes.txt"):
-        Path("out", file).write_text("mine")
-    judged()
-    assert judged(problem=("a",)) == 1 and f"removed 3 files {REMOVED}" in capsys.readouterr().err
-    assert {"a.mine.exr", "notes.txt"} < set(names()) and not any(f"a.{which}.exr" in names() for which in IMAGES)
-
-
-def test_a_reproducer_or_image_that_is_no_longer_true_goes_with_the_verdict_it_came_with(judged, capsys):
-    judged(reproducers=("case-1.3-4",))
-    assert judged() == 0 and names(".toml") == []
-    assert judged(problem=("b",)) == 1
-    assert f"removed 3 files {REMOVED}" in capsys.readouterr().err and not any(n.startswith("b.") for n in names())
-
-
-def test_an_interrupted_run_spares_what_it_did_not_come_to(judged):
-    judged()
-    assert judged(stop=1) == 130
-    assert {f"{name}.ours.exr" for name in "abc"} <= set(names(".exr"))
+    assert main(["validate", "scenes", "--out", "out", "-j", "1"]) == 130
     written = json.loads(Path("out/verdict.json").read_text())
-    assert [scene["name"] for scene in written["scenes"]] == ["a"] and written["not_judged"] == ["b", "c"]
-
-
-@pytest.mark.parametrize(
-    ("words", "places"), [(("-k", "a"), ("scenes",)), ((), ("scenes/a.toml",))], ids=["-k", "named"]
-)
-def test_a_run_of_some_scenes_removes_only_what_is_theirs(judged, capsys, words, places):
-    judged(reproducers=("case-1.3-4",))
-    assert judged(*words, places=places) == 0
-    assert f"removed 1 file {REMOVED}" in capsys.readouterr().err
-    assert names(".toml") == [f"{name}.case-1.3-4.toml" for name in "bc"] and len(names(".exr")) == 9
-
-
-@pytest.mark.parametrize(
-    "text", ["{", "[]", '{"scenes": [{"name": "a", "files": ["../notes.txt", "notes.txt", 7]}]}', "[" * 10**5]
-)
-def test_a_list_of_files_that_is_garbled_removes_nothing(judged, text):
-    Path("out").mkdir()
-    Path("notes.txt").write_text("mine")
-    Path("out/verdict.json").write_text(text)
-    assert judged() == 0 and Path("notes.txt").exists()
-
-
-def test_a_listed_file_that_is_not_the_scenes_or_not_in_the_folder_stays(judged):
-    judged()
-    record = json.loads(Path("out/verdict.json").read_text())
-    others = "notes.txt", "../a.notes.txt", "b.ours.exr"
-    for name in others[:2]:
-        Path("out", name).write_text("mine")
-    record["scenes"][0]["files"] += others
-    Path("out/verdict.json").write_text(json.dumps(record))
-    assert judged() == 0 and all(Path("out", name).exists() for name in others)
+    assert [scene["name"] for scene in written["scenes"]] == ["a"] and written["not_judged"] == ["b"]
+    assert Path("out/b.ours.exr").exists() and Path("out/notes.txt").exists()
 
 
 # ---- --html

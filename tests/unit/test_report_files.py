@@ -19,10 +19,6 @@ PASSING = SceneVerdict("good", "good.toml", 9, 9)
 PASSING = replace(PASSING, counts=PASSING.counts | {"agree": 9})
 
 
-def matrix_rows(*verdicts):
-    return [index_row(verdict, "") for verdict in verdicts]
-
-
 def test_a_run_that_is_cut_off_has_its_page(tmp_path):
     """Whatever ends the process: the list is there from the first scene on."""
     report = HtmlReport(tmp_path / "r", 43)
@@ -33,7 +29,7 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
 
 def test_no_text_ends_its_script():
     evil = "</script><script>alert(1)</script><!--\u2028"
-    text = "".join(page({"summary": evil, "candidate": evil}, matrix_rows(replace(FAILING, name=evil))))
+    text = "".join(page({"summary": evil, "candidate": evil}, [index_row(replace(FAILING, name=evil), "")]))
     assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in script_json(evil)
     assert json.loads(script_json(evil)) == evil
 
@@ -88,10 +84,3 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
         HtmlReport(tmp_path / "file", 1)
     with pytest.raises(OutputError):
         HtmlReport(tmp_path / "r.html", 1)  # a report is a folder
-
-
-def test_a_page_of_others_is_left_alone(tmp_path):
-    (tmp_path / "index.html").write_text("<title>my notes</title>")
-    with pytest.raises(OutputError, match="is no report of validate"):
-        HtmlReport(tmp_path, 1)
-    assert (tmp_path / "index.html").read_text() == "<title>my notes</title>"

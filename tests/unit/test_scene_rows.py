@@ -1,7 +1,6 @@
 """Scenes are loaded when they are judged, and an error of one is its row."""
 
 import json
-import time
 
 import pytest
 
@@ -11,8 +10,8 @@ from caster.rendering.threads import core_count, thread_count
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
 from mitsuba_ref.runner import many_scenes, validation_run
-from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, engine_for, run
-from mitsuba_ref.runner.shards import Shard, scenes_of_shard
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
+from mitsuba_ref.runner.validation_run import ValidationRun
 
 SCENE = """[film]
 width = 8
@@ -48,11 +47,9 @@ def test_the_process_that_hands_out_scenes_loads_none(folder, monkeypatch):
         assert entry.given is None
         return passed(entry)
 
-    monkeypatch.setattr(many_scenes, "judge_entry", judge)
-
+    monkeypatch.setattr(validation_run, "judge_entry", judge)
     sources = [SceneEntry(path.stem, str(path)) for path in sorted(folder.iterdir())]
-    with engine_for(sources, JudgeOptions(), workers=2) as engine:
-        found = list(run(sources, JudgeOptions(), engine))
+    found = ValidationRun(sources, JudgeOptions(), workers=2).verdicts()
     assert [verdict.name for verdict in found] == [f"s{i:02}" for i in range(30)]
 
 
@@ -86,20 +83,12 @@ def test_any_error_is_a_row_and_the_verdict_is_written(folder, tmp_path, monkeyp
     assert ("Traceback" in capsys.readouterr().err) == (code == 70)
 
 
-def test_work_is_in_proportion_to_scenes(folder):
-    begin = time.process_time()
-    sources = [SceneEntry(path.stem, str(path)) for path in sorted(folder.iterdir())]
-    parts = [scenes_of_shard(sources, Shard(part, 10**8)) for part in (1, 30, 31, 10**8)]
-    assert [len(part) for part in parts] == [1, 1, 0, 0]
-    assert time.process_time() - begin < 2.0
-
-
 def test_a_worker_casts_on_its_share_of_threads(folder, monkeypatch):
     """The number that a worker is given is its default; this process keeps its own."""
     monkeypatch.setattr(many_scenes, "judge_loaded", lambda *_: SceneVerdict("threads", str(thread_count(None))))
     source = SceneEntry("s00", str(folder / "s00.toml"))
-    for threads in (1, 2):
-        options = JudgeOptions(threads=threads)
-        with engine_for([source], options, workers=1) as engine:
-            assert [found.path for found in run([source], options, engine)] == [str(threads)]
-    assert thread_count(None) == core_count()
+    before = thread_count(None)
+    for entries in ([source], 2 * [source]):
+        run = ValidationRun(entries, JudgeOptions(), workers=2)
+        assert {found.path for found in run.verdicts()} == {str(max(1, core_count() // len(entries)))}
+    assert thread_count(None) == before

@@ -51,7 +51,7 @@ def test_every_end_is_a_row_and_the_rest_is_judged(tmp_path, monkeypatch, capsys
         return made(name)
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
-    monkeypatch.setattr(many_scenes, "CALL_TIMEOUTS", 1.0 / DEFAULT_TIMEOUT)
+    monkeypatch.setattr("mitsuba_ref.runner.validation_run.CALL_TIMEOUTS", 1.0 / DEFAULT_TIMEOUT)
     words = ["--json", "v.json", "--junit", "j.xml", "--html", "report"]
     assert main(["validate", "scenes", "-j", "3", *words]) == 1
     out = " ".join(capsys.readouterr().out.split())

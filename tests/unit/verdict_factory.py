@@ -1,6 +1,7 @@
 """Made-up verdicts for tests of their output."""
 
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneCheck, SceneVerdict, Verdict
+from mitsuba_ref.report.reproducers import with_replay
 
 
 def scene(name="ball", *, ok=True, problem="", path=None, **more):
@@ -14,7 +15,7 @@ def scene(name="ball", *, ok=True, problem="", path=None, **more):
         exact = "ball, prim 0 (inside) at t 1.5 0x1.8p+0"
         told = ("ball at depth 1.0", "ball at depth 1.5", exact, "ours is not the exact answer")
         failures = (Failure(3, 4, "wrong", "depth", 41.0, *told),)
-    return SceneVerdict(
+    made = SceneVerdict(
         name,
         f"scenes/{name}.toml" if path is None else path,
         120,
@@ -29,6 +30,7 @@ def scene(name="ball", *, ok=True, problem="", path=None, **more):
         size=(12, 10),
         **more,
     )
+    return with_replay(made)
 
 
 def verdict(*scenes, scene_count=None, names=(), **more):
