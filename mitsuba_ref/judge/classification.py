@@ -25,9 +25,17 @@ from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import Adjudication, claims_of, exact_ratios, oracle_answers, sample_rows
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
-from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, UvPair, compare, inconsistent_aovs, pair_images
+from mitsuba_ref.judge.comparison import (
+    ImagePair,
+    PixelPairs,
+    UvPair,
+    allowed_shares,
+    check_ratios,
+    inconsistent_aovs,
+    pair_images,
+)
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
-from mitsuba_ref.judge.diffuse import diffuse_within_float64, judge_diffuse, shading_points
+from mitsuba_ref.judge.diffuse import diffuse_within_float64, hits_of, judge_diffuse
 from mitsuba_ref.judge.verdict import CLASSES, JUDGED_WITHOUT_REFERENCE
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
@@ -58,7 +66,7 @@ class Judgement:
 
     classes: Array  # (n,) index into CLASSES
     ratios: Mapping[str, Array]  # (n,) error over bound of each check, `exact` included
-    allowed: Mapping[str, float]  # the scene's own shares of bounds
+    allowed: Mapping[str, float]  # the scene's own shares of bounds; 1 for other checks
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
     not_adjudicated: Array  # rows
@@ -158,11 +166,13 @@ class Judge:
 
     def judge(self) -> Judgement:
         """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
-        comparison = compare(self.pixels, self.scene.checks if self.names_prims else {})
+        allowed = allowed_shares(self.scene.checks if self.names_prims else {})
+        ratios = check_ratios(self.pixels)
 
         # Step 1: plain agreement. Images that contradict themselves, and invalid answers, agree with nothing.
         loose, fits, broken = self._has_loose_normals(), self._reference_fits(), self.answer.is_broken
-        agreeing = comparison.agrees & self.consistent & ~broken & fits & ~loose
+        agrees = np.all([ratio <= allowed.get(name, 1.0) for name, ratio in ratios.items()], axis=0)
+        agreeing = agrees & self.consistent & ~broken & fits & ~loose
 
         # Step 2: exact arithmetic, where it may matter and at some pixels where it should not.
         exact = self._adjudicate(agreeing)
@@ -170,23 +180,23 @@ class Judge:
         # Step 3: classes of disputed pixels, first where the subject is exactly right, then where it is not.
         classes = np.where(agreeing, CODE.agree, CODE.undecided)
         # A pixel that fails only the scene's own stricter bounds is not disputed: nothing excuses it.
-        disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
+        beyond = np.any([~(ratio <= 1.0) for ratio in ratios.values()], axis=0)
+        disputed = ~agreeing & self.consistent & (loose | beyond | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & (~exact.of_first | self.hits_at_t_min[exact.rows])
         classes[exact.rows[other_tie]] = CODE.tie
         for check in self.pixels.self_checks.values():
             classes[check.fails & self.consistent] = CODE.wrong
         classes[exact.rows[~exact.answered]] = CODE.undecided
-        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
+        rows, (excused, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
         classes[rows] = CODE.wrong  # unless its own rounding allows the answer
         classes[rows[lost]] = CODE.out_of_domain
-        classes[rows[allowed]] = CODE.explained
+        classes[rows[excused]] = CODE.explained
         classes[broken | ((self.t_max < 0.0) & self.hit)] = CODE.wrong
 
         # Step 4: light, where the subject gives it.
-        ratios = dict(comparison.ratios)
         if "diffuse" in self.pair.subject:
-            ratios["diffuse"] = self._classify_diffuse(classes, comparison.allowed["diffuse"])
+            ratios["diffuse"] = self._classify_diffuse(classes, allowed.get("diffuse", 1.0))
         ratios[EXACT] = np.zeros(len(classes))
         ratios[EXACT][exact.rows] = np.where(exact.answered, exact.ratio, 0.0)
         for name, where in self.inconsistent.items():
@@ -197,7 +207,7 @@ class Judge:
         left_out = ~agreeing & (classes == CODE.undecided) & (self.t_max >= 0.0)
         left_out[exact.rows] = False
         rows = np.flatnonzero(left_out & self.consistent)
-        return Judgement(classes, ratios, comparison.allowed, exact, cases, rows)
+        return Judgement(classes, ratios, allowed, exact, cases, rows)
 
     def _has_loose_normals(self) -> Array:
         """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""
@@ -220,35 +230,35 @@ class Judge:
     @without_float_warnings
     def _adjudicate(self, agreeing: Array) -> Adjudication:
         """Compare the subject with exact arithmetic where it disagrees, near edges, and at some other pixels."""
-        disputed = ~agreeing
-        certain = self.bounds.at.certain
+        own, certain = self.bounds.own, self.bounds.at.certain
         if not self.answer.exact_visibility:
-            certain = certain & self.bounds.own.certain
-        if self.pair.rays.is_list:
-            own = self.bounds.own  # rounding may move a hit beyond t_min or t_max
-            certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
-            agreeing = agreeing & ~self._may_hit()
+            certain = certain & own.certain
         hits = np.pad(self.hit.reshape(self.pair.shape), 1)
         near_hit = sliding_window_view(hits, (3, 3)).any(axis=(2, 3)).ravel()
+        if self.pair.rays.is_list:
+            # Rounding may move a hit beyond t_min or t_max, and a miss has no neighbours.
+            certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
+            rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
+            rays = Rays(self.o[rows], self.d[rows], self.t_min[rows], self.t_max[rows])
+            near_hit[rows] |= self.bracket.blocked(rays)[0]
         chosen = ~agreeing | np.where(self.hit, ~certain, near_hit)
         chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
         rows = np.flatnonzero(chosen & (self.t_max >= 0.0))
-        return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]])[rows]])
+        return self.adjudicated(np.setdiff1d(rows, self._surely_wrong(rows[~agreeing[rows]])))
 
     def _surely_wrong(self, rows: Array) -> Array:
-        """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
+        """Those of some disputed rows that need no adjudication, since nearly all of a sample of their kind are wrong.
 
-        rows: the pixels that disagree. These pixels stay undecided, which fails as well.
+        These pixels stay undecided, which fails as well.
         """
-        found, kind = np.zeros(len(self.hit), bool), self.kinds_of_pixels(rows)
+        found, kind = rows[:0], self.kinds_of_pixels(rows)
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
             exact = self.adjudicated(sample)
             excused = np.any(self._within_rounding(exact), axis=0)
             if (~excused).sum() >= NEARLY_ALL * len(sample):
-                found[members] = True
-                found[sample] = False
+                found = np.union1d(found, np.setdiff1d(members, sample))
         return found
 
     def kinds_of_pixels(self, rows: Array) -> Array:
@@ -272,13 +282,6 @@ class Judge:
         off = np.abs(self.answer.t - self.t_min) * np.abs(self.d).max(axis=1)
         found: Array = off <= self.answer.ku * np.abs(self.o).max(axis=1)
         return found & (not (self.answer.exact_visibility or self.answer.hits_only))
-
-    def _may_hit(self) -> Array:
-        """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
-        rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
-        found = np.zeros(len(self.hit), bool)
-        found[rows], _ = self.bracket.blocked(Rays(self.o[rows], self.d[rows], self.t_min[rows], self.t_max[rows]))
-        return found
 
     def _classify_reference(self, classes: Array, disputed: Array, loose: Array, exact: Adjudication) -> None:
         """Classify disputed pixels where the subject is exactly right, by Mitsuba's answer."""
@@ -343,7 +346,7 @@ class Judge:
         alone = np.flatnonzero(held & testable)
         if len(alone):
             values = aov_rows(self.pair.subject, "diffuse")[alone]
-            own = shading_points(self.pair, self.bounds.own, alone)
+            own = hits_of(self.scene, self.pair, self.bounds.own, alone)
             right = diffuse_within_float64(self.scene, own, self.prim[alone], values, self.bracket)
             classes[alone[right & disputed[alone]]] = CODE.reference_wrong
             classes[alone[~right]] = CODE.wrong

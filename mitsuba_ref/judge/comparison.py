@@ -20,7 +20,6 @@ from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
 from mitsuba_ref.error_model.intersections import (
     Array,
-    all_of_columns,
     any_of_columns,
     norm,
     without_float_warnings,
@@ -222,31 +221,15 @@ def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
     return found
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Error over bound of each check, (n,) each; at most 1 is within the bound, inf is beyond any bound."""
+def allowed_shares(checks: Mapping[str, Check]) -> dict[str, float]:
+    """The share of its bound that each check may use, if the scene sets one by [check.AOV].
 
-    ratios: Mapping[str, Array]
-    allowed: Mapping[str, float]  # share of the bound each may use; 1 unless set by the scene
-
-    @property
-    def agrees(self) -> Array:
-        """(n,) bool: no check finds more than it allows."""
-        return np.all([ratio <= self.allowed[name] for name, ratio in self.ratios.items()], axis=0)
-
-    @property
-    def derived(self) -> Array:
-        """(n,) bool: no check finds more than its derived bound."""
-        return np.all([ratio <= 1.0 for ratio in self.ratios.values()], axis=0)
-
-
-def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
-    """All checks. checks: the scene's own [check.AOV]; raises SceneError for one that has no effect."""
+    Raises SceneError for a [check.AOV] that has no effect.
+    """
     for name in checks:
         if name not in BOUNDED_AOVS:
             raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
-    ratios = check_ratios(pixels)
-    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
+    return {name: check.ratio for name, check in checks.items()}
 
 
 @without_float_warnings
@@ -259,7 +242,12 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
     if pair.answer.prim is None:
         return {}
     subject, hit = pair.subject, np.isfinite(pair.t)
-    found = {name: ~_fits_mask(subject, name, hit) for name in COMPARED_AOVS if name in subject}
+    found = {}
+    for name in COMPARED_AOVS:
+        if name in subject:
+            values = aov_rows(subject, name).reshape(len(hit), -1)
+            unfit = np.where(hit[:, None], ~np.isfinite(values), values != MISS_VALUES.get(name, 0))
+            found[name] = any_of_columns(unfit)
     depth = pair.rays.start + pair.t * pair.length  # from the eye, up to three roundings
     found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
     found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
@@ -277,9 +265,3 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
         at = ColoredPoints(shape, prim_id, *(aov_rows(subject, name) for name in ("uv", "position", "albedo")))
         found["diffuse"] |= color_ratios(textures, packed.parts, at, KU_OURS) > 1.0
     return found
-
-
-def _fits_mask(aovs: Aovs, name: str, hit: Array) -> Array:
-    values = aov_rows(aovs, name).reshape(len(hit), -1)
-    on_hit, on_miss = (all_of_columns(a) for a in (np.isfinite(values), values == MISS_VALUES.get(name, 0)))
-    return np.where(hit, on_hit, on_miss)

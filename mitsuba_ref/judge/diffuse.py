@@ -10,13 +10,7 @@ from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Array, Intersections, without_float_warnings
-from mitsuba_ref.error_model.lambert import (
-    LightChoices,
-    LightContribution,
-    Materials,
-    ShadingPoints,
-    smallest_error_ratio,
-)
+from mitsuba_ref.error_model.lambert import LightChoices, LightContribution, ShadingPoints, smallest_error_ratio
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.comparison import ImagePair
@@ -45,7 +39,7 @@ def judge_diffuse(
     """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's."""
     count = len(pair.t)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
-    lights = _lights(scene, shading_points(pair, bounds.at, rows), KU)
+    lights = _lights(scene, hits_of(scene, pair, bounds.at, rows), KU)
     textures, reference_ratio = scene.textures, np.zeros(count)
     if any(textures):
         answer = pair.result.answer
@@ -58,7 +52,7 @@ def judge_diffuse(
     ratio = np.maximum(ratio, reference_ratio)
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
-        hit = shading_points(pair, bounds.at, beyond)
+        hit = hits_of(scene, pair, bounds.at, beyond)
         lights = _lights(scene, hit, KU)
         explained[beyond] = _ratio(pair, beyond, _choices(scene, pair, lights, hit, beyond, brackets)) <= 1.0
         explained &= reference_ratio <= 1.0
@@ -80,24 +74,25 @@ def diffuse_within_float64(scene: Scene, hit: ShadingPoints, prim: Array, values
     first, error = (np.where(lit[..., None], each, 0.0) for each in (lights.radiance, lights.error))
     dark = np.zeros_like(first)
     choices = LightChoices(first, error, dark, dark, lit & (shaded | lights.doubtful))
-    ambient = lambert.reflectance_at(materials_of(scene), hit) * lambert.ambient_radiance(scene.lights)
+    ambient = hit.reflectance * lambert.ambient_radiance(scene.lights)
     return smallest_error_ratio(values, ambient, choices, KU_OURS) <= 1.0
 
 
-def shading_points(pair: ImagePair, at: Intersections, rows: Array) -> ShadingPoints:
+def hits_of(scene: Scene, pair: ImagePair, at: Intersections, rows: Array) -> ShadingPoints:
     """Our hits at some pixels, with the bounds `at`."""
     d = pair.rays.d[rows].astype(np.float64)
     p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
     shape, albedo = (aov_rows(pair.subject, name)[rows] for name in ("shape_id", "albedo"))
-    return ShadingPoints(p, d, shape, at.take(rows), albedo)
+    return shading_points(scene, p, d, at.take(rows), shape, albedo)
 
 
-def materials_of(scene: Scene) -> Materials:
-    """The material of each shape, as arrays."""
-    found = [scene.material_of(shape) for shape in scene.shapes]
-    nothing = (np.nan,) * 3
-    reflectance = np.array([nothing if material.texture else material.color for material in found]).reshape(-1, 3)
-    return Materials(reflectance, np.array([material.two_sided for material in found], bool))
+def shading_points(scene: Scene, p: Array, d: Array, at: Intersections, shape: Array, albedo: Array) -> ShadingPoints:
+    """Hits on shapes (m,). albedo: (m, 3) the subject's, which is used where a texture decides it."""
+    materials = [scene.material_of(each) for each in scene.shapes]
+    textured = np.array([each.texture is not None for each in materials], bool)[shape, None]
+    colors = np.array([each.color for each in materials]).reshape(-1, 3)[shape]
+    two_sided = np.array([each.two_sided for each in materials], bool)[shape]
+    return ShadingPoints(p, d, at, np.where(textured, albedo, colors), two_sided)
 
 
 @without_float_warnings
@@ -117,9 +112,8 @@ def _for_our_albedo(scene: Scene, pair: ImagePair, rows: Array, lights: Lights) 
 
 
 def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
-    materials = materials_of(scene)
-    each = [lambert.light_contribution(materials, light, hit, ku) for light in scene.lights if light.type != "ambient"]
-    shape = len(each), len(hit.shape)
+    each = [lambert.light_contribution(light, hit, ku) for light in scene.lights if light.type != "ambient"]
+    shape = len(each), len(hit.p)
     doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
     radiance, error = (
         np.array([getattr(light, name) for light in each]).reshape(*shape, 3) for name in ("radiance", "error")

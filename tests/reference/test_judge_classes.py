@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mitsuba_scenes import scene_judge
+from mitsuba_scenes import lit_scene, scene_judge
 
 import caster
 from caster.aovs import Aovs
-from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
 from mitsuba_ref.judge.classification import Judge, Judgement
@@ -37,15 +36,12 @@ LIGHTS = (
 )
 
 
-def scene_of(*shapes: Any, **more: Any) -> Scene:
-    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
-    usual = {"film": caster.Film(width=24, height=16), "camera": camera, "lights": LIGHTS}
-    return Scene(**(usual | more), shapes=shapes or SHAPES)
+SCENE = lit_scene(*SHAPES, film=caster.Film(width=24, height=16), lights=LIGHTS)
 
 
 @pytest.fixture(scope="module")
 def one(brought) -> Judge:
-    return brought(scene_of())
+    return brought(SCENE)
 
 
 @pytest.fixture(scope="module")
@@ -244,26 +240,29 @@ def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
 # ---- other hits
 
 
+def set_to_miss(images: Aovs, rows: np.ndarray) -> None:
+    """Make all values of one side at these rows those of a miss."""
+    for name in images:
+        aov_rows(images, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(name, 0)
+    images.hit.ravel()[rows] = False
+
+
 def miss(judge: Judge, rows: np.ndarray) -> None:
-    """Make all of our values at these rows those of a miss."""
     judge.answer.t[rows], judge.answer.prim[rows] = np.inf, -1
-    for name in judge.pair.subject:
-        aov_rows(judge.pair.subject, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(name, 0)
-    judge.pair.subject.hit.ravel()[rows] = False
+    set_to_miss(judge.pair.subject, rows)
 
 
 def reference_misses(judge: Judge, rows: np.ndarray) -> None:
     judge.pair.result.t[rows] = judge.pair.result.answer.t[rows] = np.inf
     judge.pair.result.shape_id[rows] = -1
-    for name in judge.pair.reference:
-        aov_rows(judge.pair.reference, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(name, 0)
-    judge.pair.reference.hit.ravel()[rows] = False
+    set_to_miss(judge.pair.reference, rows)
 
 
 def some_of_each_shape(judge: Judge, count: int = 3) -> np.ndarray:
-    """Rows away from edges, of every shape."""
-    shapes = aov_rows(judge.pair.subject, "shape_id")
-    rows = [np.flatnonzero((shapes == shape) & judge.bounds.at.certain)[:count] for shape in range(len(SHAPES))]
+    """Rows away from edges, of every shape, whose normals are known."""
+    shapes, own = judge.result.shape_id, judge.bounds.own
+    certain = judge.bounds.at.certain & own.certain & np.isfinite(own.n_error)
+    rows = [np.flatnonzero((shapes == shape) & certain)[:count] for shape in range(len(SHAPES))]
     return np.sort(np.concatenate(rows))
 
 
@@ -364,9 +363,6 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
     assert not judge.consistent[rows].any() and judge.consistent.sum() == len(judge.hit) - len(rows)
 
 
-# ---- what is made of a judgement
-
-
 # ---- candidates: t and normals, of float64 or float32, and numbers of what is hit
 
 
@@ -378,13 +374,13 @@ def cast(scene, o, d):
 @pytest.fixture(scope="module", params=["float64", "float32"])
 def candidate(request, send) -> Judge:
     subject = FunctionSubject("right", cast, request.param)
-    return scene_judge(scene_of(), subject, send=send)
+    return scene_judge(SCENE, subject, send=send)
 
 
 @pytest.mark.parametrize("what", ["t", "normal"])
 def test_a_candidate_may_be_off_by_its_own_bound_and_no_more(candidate, what):
     own = candidate.bounds.own
-    rows = some_of_each_shape_hit(candidate)
+    rows = some_of_each_shape(candidate, 5)
     name = "depth" if what == "t" else "normal"
     for share in (0.9, 1.1):
         judge = altered(candidate)
@@ -401,18 +397,11 @@ def test_a_candidate_may_be_off_by_its_own_bound_and_no_more(candidate, what):
         assert classes_at(found, rest) <= {"agree", "explained", "tie"}
 
 
-def some_of_each_shape_hit(judge: Judge, count: int = 5) -> np.ndarray:
-    shapes = judge.result.shape_id
-    certain = judge.bounds.at.certain & judge.bounds.own.certain & np.isfinite(judge.bounds.own.n_error)
-    rows = [np.flatnonzero((shapes == shape) & certain)[:count] for shape in range(len(SHAPES))]
-    return np.sort(np.concatenate(rows))
-
-
 @pytest.mark.parametrize("misses", [True, False])
 def test_a_candidate_that_misses_or_hits_in_place_of_it_is_wrong(candidate, misses):
     judge = altered(candidate)
     hit = judge.hit
-    rows = some_of_each_shape_hit(judge) if misses else np.flatnonzero(~hit)[:12]
+    rows = some_of_each_shape(judge, 5) if misses else np.flatnonzero(~hit)[:12]
     judge.answer.t[rows] = np.inf if misses else 5.0
     judge.answer.n[rows] = 0.0 if misses else (0.0, 0.0, 1.0)
     judge.pair.subject.hit.ravel()[rows] = not misses
@@ -429,7 +418,7 @@ def test_a_number_that_a_candidate_names_has_to_be_that_of_what_is_hit(candidate
         "shape_id": np.where(prim >= 0, packed.shape_of(np.maximum(prim, 0)), -1),
         "prim_id": np.where(prim >= 0, packed.index_in_shape(np.maximum(prim, 0)), -1),
     }
-    rows = some_of_each_shape_hit(judge)
+    rows = some_of_each_shape(judge, 5)
 
     def judged(ids: dict[str, np.ndarray]) -> Judgement:
         images = Aovs(
@@ -451,7 +440,7 @@ def test_a_number_that_a_candidate_names_has_to_be_that_of_what_is_hit(candidate
 
 def test_an_answer_that_is_none_is_wrong_everywhere_it_stands(candidate):
     judge = altered(candidate)
-    rows = some_of_each_shape_hit(judge)
+    rows = some_of_each_shape(judge, 5)
     broken = np.isin(np.arange(len(judge.hit)), rows)
     pair = replace(judge.pair, answer=replace(judge.answer, broken={"t is planted": broken}))
     judge = Judge(judge.scene, judge.model, pair, judge.view)

@@ -159,8 +159,3 @@ def test_the_verdict_reports_it():
         not scene.checks_pass
         and "bias: 3x its bound; t of Spheres is biased: z -15.0 of 900 groups" in failure_text(scene)
     )
-
-
-@pytest.mark.parametrize("t_bias", [-2.5, -0.125, 0.0])
-def test_what_the_cpu_adds_to_t_of_triangles_is_no_failure(t_bias):
-    assert check_bias((KindBias("Triangles", 400, 0.5, "position", t_bias),)).ok
