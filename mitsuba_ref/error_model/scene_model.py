@@ -114,20 +114,24 @@ class SceneModel:
 
         ours: without those that rounding by the reference may let it hit, though it passes their boxes by far.
         """
+        blurred = 0 if ours else len(self.blurred[0])
         for batch, ray, prim, _ in self.nearby.crossings(o, d):
             pairs = np.stack([ray, prim])
-            if ours or not len(self.blurred.prim):
+            if not blurred:
                 yield pairs
                 continue
-            at_once = max(1, MAX_RAY_BOX_PAIRS // len(self.blurred.prim))
+            at_once = max(1, MAX_RAY_BOX_PAIRS // blurred)
             for first in range(batch.start, batch.stop, at_once):
                 some = slice(first, min(first + at_once, batch.stop))
                 mine = pairs[:, (ray >= some.start) & (ray < some.stop)]
                 yield np.unique(np.hstack([mine, self._blurred_pairs(some, o, d)]), axis=1)
 
     @cached_property
-    def blurred(self) -> "BlurredPrimitives":
-        """Primitives that rays may hit in the reference although they pass their boxes by far."""
+    def blurred(self) -> tuple[Array, Array, Array, Array]:
+        """Primitives whose ErrorModel.growth is beyond BOX_MARGIN: the reference may hit them far beside their boxes.
+
+        Their numbers (m,); center (m, 3) and radius (m,) of a sphere around each; growth (m,).
+        """
         grown = [
             (kind.ids, model.growth(arrays))
             for kind, model, arrays in zip(self.packed.kinds, self.models, self.kinds, strict=True)
@@ -137,7 +141,7 @@ class SceneModel:
         beyond = growth > 0.5 * BOX_MARGIN  # which counts the largest coordinate, at least 1 / sqrt(3) of a length
         prim, growth = prim[beyond], growth[beyond]
         low, high = (corner[prim] for corner in self.boxes)
-        return BlurredPrimitives(prim, 0.5 * (low + high), 0.5 * norm(high - low), growth)
+        return prim, 0.5 * (low + high), 0.5 * norm(high - low), growth
 
     @without_overflow_warnings
     def _blurred_pairs(self, batch: slice, o: Array, d: Array) -> Array:
@@ -148,15 +152,6 @@ class SceneModel:
         off = np.sqrt(np.maximum((way**2).sum(axis=2) - along**2, 0.0))
         ray, which = np.nonzero(~(off > radius + growth * (norm(o[batch])[:, None] + norm(center))))
         return np.stack([ray + batch.start, prim[which]])
-
-
-class BlurredPrimitives(NamedTuple):
-    """Primitives whose ErrorModel.growth is beyond BOX_MARGIN."""
-
-    prim: Array  # (m,)
-    center: Array  # (m, 3) of a sphere around each
-    radius: Array  # (m,)
-    growth: Array  # (m,)
 
 
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of

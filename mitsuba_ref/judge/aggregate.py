@@ -58,8 +58,8 @@ def kind_counts(judgement: Judgement, film: BounceFilm) -> dict[str, dict[str, i
     """Rays of each class that occurs, by their kind; misses included."""
     kinds, classes, found = film.bounce.rays.kind, judgement.classes[film.row], {}
     for kind in np.unique(kinds):
-        counts = zip(CLASSES, np.bincount(classes[kinds == kind]).tolist(), strict=False)
-        found[RAY_KINDS[kind]] = {name: count for name, count in counts if count}
+        codes, counts = np.unique(classes[kinds == kind], return_counts=True)
+        found[RAY_KINDS[kind]] = {CLASSES[code]: count for code, count in zip(codes, counts.tolist(), strict=True)}
     return found
 
 
@@ -135,7 +135,6 @@ def decisive_checks(judgement: Judgement, rows: Array) -> list[str]:
     """The check with the largest excess of each row; `exact`, the least specific, only if no other fails."""
     names = list(judgement.ratios)
     excess = np.stack([judgement.excess(name)[rows] for name in names])
-    excess = np.where(np.isnan(excess), np.inf, excess)
     beyond = (excess > 1.0) & (np.array(names) != EXACT)[:, None]
     ranked = np.where(beyond | ~beyond.any(axis=0), excess, -1.0)
     return [names[i] for i in ranked.argmax(axis=0)]

@@ -84,36 +84,25 @@ Finish = Callable[[SceneVerdict, str], SceneVerdict]
 def judge_film(task: Task, finish: Finish) -> SceneVerdict:
     """The verdict of all bands, with the evidence of the one with most failures, or else of the middle one."""
     bands = task.windows()
+    if len(bands) == 1:
+        return finish(judge_window(task), task.name)
     verdicts: list[SceneVerdict] = []
     best, shown, seen = (-1, False, False), 0, None
+    notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
     for number, band in enumerate(bands):
-        middle, rows = number == len(bands) // 2, _rows(band)
-        found = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=len(bands) == 1)
-        found = finish(found, task.name if len(bands) == 1 else f"{task.name}.rows-{rows[0]:05}-{rows[1]:05}")
+        middle, (_, first, _, end) = number == len(bands) // 2, band.film.window
+        found = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=False)
+        found = finish(found, f"{task.name}.rows-{first:05}-{end - 1:05}")
         rank = found.failing, not found.checks_pass, middle
         if rank > best:
             best, shown, seen = rank, number, found.seen
         verdicts.append(replace(found, seen=None))
         if found.problem:
+            verdicts[-1] = replace(verdicts[-1], problem=f"rows {first} to {end - 1}: {found.problem}")
             break
-    return _merged(bands, verdicts, shown, seen) if len(bands) > 1 else replace(verdicts[0], seen=seen)
-
-
-def _rows(band: Scene) -> tuple[int, int]:
-    """The first and the last row of a window."""
-    _, first, _, end = band.film.window
-    return first, end - 1
-
-
-def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, seen: Seen | None) -> SceneVerdict:
-    """The verdict of a film in bands; that of the shown band comes first."""
-    if verdicts[-1].problem:
-        first, end = _rows(bands[len(verdicts) - 1])
-        verdicts[-1] = replace(verdicts[-1], problem=f"rows {first} to {end}: {verdicts[-1].problem}")
-    notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
     if seen is not None:
-        first, end = _rows(bands[shown])
-        notes.append(f"pixels of the report: rows {first} to {end}")
+        _, first, _, end = bands[shown].film.window
+        notes.append(f"pixels of the report: rows {first} to {end - 1}")
     merged = merge_windows([verdicts[shown], *verdicts[:shown], *verdicts[shown + 1 :]])
     return replace(merged, seen=seen, notes=(*notes, *merged.notes))
 
@@ -128,14 +117,12 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
     """
     scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
     whose = OUR_CHECKS if task.ours else CANDIDATE
-    original, secondary = original_of(task.scene), task.bounce is not None
+    original = original_of(task.scene)
     camera = task.rays is None and (original is None or original.exact_camera)
-    checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera, secondary=secondary)
+    checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera, secondary=task.bounce is not None)
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
-    inputs |= {"send": task.send, "timeout": task.timeout}
-    if task.bounce:
-        inputs["bounce"] = task.bounce.bounce
+    inputs |= {"send": task.send, "timeout": task.timeout, "bounce": task.bounce and task.bounce.bounce}
     made = make_checks(of_scene, inputs) if task.ours else ()
     if whole_film:  # the rest is in float32; for ten million triangles, both packings take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)

@@ -5,8 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from aimed_rays import Setting, rays_at, scene_of
 
-from caster.geometry.packing import pack
-from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.intersections import Rays, norm
@@ -16,7 +14,7 @@ from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.shared_input import SharedRays, model_of
+from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 
 
 class Observed(NamedTuple):
@@ -45,8 +43,8 @@ def observe(
     rng = np.random.default_rng(seed)
     scene = scene_of(kind, rng, setting, shapes)
     o, d = rays_at(scene, rng, setting, count)
-    rays = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
-    model = model_of(scene, pack(scene, as_float32), rays)
+    rays = endless_rays(o, d)
+    model = model_of(scene, packed_float32(scene), rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     return compared(model, witness, o, d)

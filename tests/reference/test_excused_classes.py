@@ -29,20 +29,19 @@ def first(shaded) -> Judgement:
 
 
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
-@pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
-@pytest.mark.slow("each judges a scene", keep=4)
-def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name, change):
+@pytest.mark.slow("each judges a scene", keep=2)
+def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name):
     before, excused = (first.classes, first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.pair.subject.hit.ravel())
     assert 50 <= excused.sum() < len(excused) // 10
     image = aov_rows(shaded.pair.subject, name)
     kept = image.copy()
-    image[excused] = change(image[excused])
+    image[excused] = 1.5 * image[excused] + 0.1
     try:
         after = Judge(shaded.scene, shaded.model, shaded.pair).judge()
     finally:
         image[:] = kept
-    contradicts = name == "depth" or not np.isfinite(change(1.0))  # our own hit, whatever exact arithmetic says
-    assert np.all(after.is_class("undecided" if contradicts else "wrong")[excused])
+    # A depth contradicts our own hit, whatever exact arithmetic says.
+    assert np.all(after.is_class("undecided" if name == "depth" else "wrong")[excused])
     assert np.array_equal(after.classes[~excused], before[~excused])
 
 

@@ -320,40 +320,19 @@ def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratios["on_surface"][rows]).any()
 
 
-# Our image contradicts our own hit: no rounding excuses it, and no exact answer makes it right.
-CONTRADICTIONS = {
-    "depth": lambda images: images["depth"] * (1.0 + 1e-13),
-    "position": lambda images: images["position"] * np.nan,
-    "normal": lambda images: images["normal"] * np.nan,
-    "shading_normal": lambda images: images["shading_normal"] * np.nan,
-    "uv": lambda images: images["uv"] * np.inf,
-    "diffuse": lambda images: images["diffuse"] * np.nan,
-    "prim_id": lambda images: images["prim_id"] + 1,
-    "hit": lambda images: 1 - images["hit"],
-    "albedo": lambda images: images["albedo"] + 0.001,
-}
-REPORTED_AS = {"prim_id": "shape_id", "hit": "mask", "albedo": "diffuse"}
-
-
-@pytest.mark.parametrize("where", ["hits", "misses"])
-@pytest.mark.parametrize("name", CONTRADICTIONS)
-def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
+@pytest.mark.parametrize(
+    ("name", "off", "reported"),
+    [("depth", 1e-12, "depth"), ("prim_id", 1, "shape_id"), ("hit", True, "mask"), ("albedo", 0.001, "diffuse")],
+)
+def test_an_image_that_contradicts_its_hit_is_undecided(one, name, off, reported):
+    """No rounding excuses it, and no exact answer makes it right. Other contradictions are in compared.toml."""
     judge = altered(one)
-    rows = some_of_each_shape(judge) if where == "hits" else np.flatnonzero(~judge.hit)[:12]
+    rows = np.flatnonzero(~judge.hit)[:12] if name == "hit" else some_of_each_shape(judge)
     image = aov_rows(judge.pair.subject, name)
-    if where == "hits":
-        kept = image.copy()
-        with np.errstate(invalid="ignore"):
-            changed = CONTRADICTIONS[name]({name: kept})
-        if image.ndim == 2:  # one channel is enough: each in some pixels
-            channels = np.arange(image.shape[1])
-            changed = np.where(channels == np.arange(len(image))[:, None] % len(channels), changed, kept)
-        image[rows] = changed[rows]
-    else:
-        image[rows] = {"hit": True, "depth": 1.0}.get(name, 1)
+    channel = rows % 3  # one is enough: each in some pixels
+    image[(rows, channel) if image.ndim == 2 else rows] += off
     judge = again(judge)
     found = judge.judge()
-    reported = REPORTED_AS.get(name, name)
     assert classes_at(found, rows) == {"undecided"}
     assert np.isinf(found.ratios[reported][rows]).all() and judge.inconsistent[reported][rows].all()
     assert sum(each.sum() for each in judge.inconsistent.values()) == len(rows)

@@ -1,6 +1,5 @@
 """Camera rays against independent formulas and Mitsuba's sensors; planted faults of cameras are found."""
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -63,9 +62,6 @@ def test_directions_are_of_length_one(camera):
         off = max(off, np.abs(squares - 1.0).max())
     assert off <= UNIT_SQUARE_ATOL
     assert camera == "orthographic" or off > 0.1 * UNIT_SQUARE_ATOL  # not vacuous
-
-
-Fault = Callable[[Scene], Any]
 
 
 def nudged(scene: Scene) -> Rays:

@@ -7,7 +7,6 @@ import pytest
 
 from caster.aovs import Aovs
 from caster.cameras import Orthographic, Pinhole
-from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays, render
 from caster.scene.model import Scene
@@ -21,7 +20,7 @@ from mitsuba_ref.judge.checks.render import CHECKED_AOVS, _within_float64, check
 from mitsuba_ref.judge.checks.shapes import check_geometry
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.shared_input import SharedRays, model_of
+from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32
 from mitsuba_ref.shapes import disk, surface_errors
 from mitsuba_ref.subjects.subject import cast_ours
 
@@ -88,10 +87,9 @@ def test_a_sensor_has_its_near_plane_before_its_far_plane(camera, near, far):
 def modelled(shape: Any, o: np.ndarray, d: np.ndarray) -> tuple[Scene, SharedRays, SceneModel]:
     """The judge's view of one shape and some rays (n, 3), in float32."""
     camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
-    o, d = (np.atleast_2d(np.asarray(v, np.float32)) for v in (o, d))
-    scene = Scene(camera=camera, film={"width": len(o), "height": 1}, shapes=[shape])
-    rays = SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
-    return scene, rays, model_of(scene, pack(scene, as_float32), rays)
+    rays = endless_rays(np.atleast_2d(o), np.atleast_2d(d))
+    scene = Scene(camera=camera, film={"width": len(rays.o), "height": 1}, shapes=[shape])
+    return scene, rays, model_of(scene, packed_float32(scene), rays)
 
 
 def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():
