@@ -5,7 +5,7 @@ that a ray hits up to rounding, except for slivers thinner than BOX_MARGIN.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -197,8 +197,9 @@ class InstancedModel(SceneModel):
         return turned
 
 
-RAYS_PER_RING, RING_RADII = 8, (1.0,)
-REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, (0.4, 0.7, 1.0)  # at disputed pixels
+# Rays on each ring, and the radii of rings, as fractions of the circle that encloses all possible rays.
+RAYS_PER_RING, RING_RADII = 8, [1.0]
+REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, [0.4, 0.7, 1.0]  # at disputed pixels
 # A primitive no larger than this many circles of rays may lie between the nine rays, so that hits are undecidable.
 UNRESOLVED_SIZE_IN_CIRCLES = 8.0
 
@@ -220,12 +221,7 @@ class UncertainRaysModel(SceneModel):
     turn: float = 0.0  # change of the direction, as a fraction of its length
     shift: float = 0.0  # change of the origin, scene units
     as_described: SceneModel | None = None  # the primitives in float64, if they differ
-    around: int = RAYS_PER_RING  # rays on each ring
-    rings: tuple[float, ...] = RING_RADII  # radii, as fractions of the circle that encloses all possible rays
-
-    def refined(self) -> "UncertainRaysModel":
-        """The same model with more rays, for the few disputed pixels."""
-        return replace(self, around=REFINED_RAYS_PER_RING, rings=REFINED_RING_RADII)
+    refined: bool = False  # by more rays, for the few disputed pixels
 
     def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
         """As SceneModel.intersect, widened to enclose the intersections of neighbouring rays."""
@@ -252,9 +248,12 @@ class UncertainRaysModel(SceneModel):
         along = unit(d)
         right = unit(perpendicular(along))
         up = np.cross(along, right)
-        out = 1.0 / np.cos(np.pi / self.around)
-        for ring in self.rings:
-            for angle in 2.0 * np.pi * np.arange(self.around) / self.around:
+        count, radii = RAYS_PER_RING, RING_RADII
+        if self.refined:
+            count, radii = REFINED_RAYS_PER_RING, REFINED_RING_RADII
+        out = 1.0 / np.cos(np.pi / count)
+        for ring in radii:
+            for angle in 2.0 * np.pi * np.arange(count) / count:
                 yield ring * out * (np.cos(angle) * right + np.sin(angle) * up)
 
 

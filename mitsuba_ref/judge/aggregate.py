@@ -179,13 +179,13 @@ def judged_film(judge: Judge, judgement: Judgement) -> JudgedFilm:
 
 
 def _failing(judge: Judge, judgement: Judgement) -> Iterator[FailingPixel]:
-    pair, own, pixels, rows = judge.pair, judge.bounds.own, judge.pixels, failing_rows(judgement)
+    pair, own, rows = judge.pair, judge.own, failing_rows(judgement)
     # Bounds on the error of each check that has one, in the unit of its values; 0 for numbers and hits.
     bounds = dict.fromkeys(("mask", "shape_id", "prim_id"), np.zeros(len(judge.hit)))
-    bounds |= {"normal": own.n_error, "depth": (own.t_error + judge.answer.t_rounding) * pixels.length}
+    bounds |= {"normal": own.n_error, "depth": (own.t_error + judge.answer.t_rounding) * pair.length}
     bounds["on_surface"] = bounds["depth"]
     if judge.names_prims:
-        bounds |= pixels.allowed_distance
+        bounds |= judge.allowed_distance
     for row, check in zip(rows.tolist(), decisive_checks(judgement, rows), strict=True):
         name, ratio = VALUES_OF.get(check, check), float(judgement.ratios[check][row])
         x, y = pixel_of(judge.scene, row)

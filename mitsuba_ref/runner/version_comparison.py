@@ -76,11 +76,11 @@ Evidence = dict[str, Array]  # one row a pixel; of a quantity (n, 2, c), for our
 
 def evidence_of(seen: Seen) -> Evidence:
     """The evidence of a window with one version."""
-    judge, uv = seen.judge, seen.judge.pixels.uv
+    judge, uv = seen.judge, seen.judge.uv
     assert uv is not None  # our caster gives it
     found: Evidence = {HIT: judge.reference_prim, AGREE: seen.judgement.is_class(AGREE)}
     for name in QUANTITIES:
-        sides = uv[:2] if name == "uv" else judge.pixels.pair(name)
+        sides = uv[:2] if name == "uv" else judge.sides(name)
         found[name] = np.stack([values.reshape(len(judge.hit), -1) for values in sides], axis=1)
     return found
 

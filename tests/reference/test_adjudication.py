@@ -271,9 +271,9 @@ def test_edges_disputes_and_a_sample_are_requested(brought):
             beside |= image[dy : dy + 60, dx : dx + 90]
     border = beside.ravel() & ~hit
     assert border.sum() >= 100 and asked[border].all()
-    assert asked[hit & ~judge.bounds.at.certain].all()
+    assert asked[hit & ~judge.at.certain].all()
     assert found.exact.answered.all() and found.exact.right.all()
-    rest = asked & ~border & judge.bounds.at.certain & hit
+    rest = asked & ~border & judge.at.certain & hit
     assert AGREEING_PIXELS_ADJUDICATED * 0.1 < rest.sum() <= AGREEING_PIXELS_ADJUDICATED
 
 

@@ -92,7 +92,7 @@ class Asked:
 
 def beyond(judge: Judge) -> np.ndarray:
     """(hits,) bool: whether t is beyond its bound, where both hit."""
-    found: np.ndarray = check_ratios(judge.pixels)["depth"][judge.pixels.both_hit] > 1.0
+    found: np.ndarray = check_ratios(judge)["depth"][judge.both_hit] > 1.0
     return found
 
 

@@ -97,7 +97,7 @@ QUANTITIES = ("depth", "position", "normal", "shading_normal", "uv", "diffuse")
 
 def move_reference(judge: Judge, name: str, share: float) -> np.ndarray:
     """Mitsuba's value is ours, and a share of the bound beside it, wherever both hit; the rows."""
-    pair, at = judge.pair, judge.bounds.at
+    pair, at = judge.pair, judge.at
     rows = np.flatnonzero(judge.hit & at.certain)
     ours, theirs = (aov_rows(images, name) for images in (pair.subject, pair.reference))
     if name == "depth":
@@ -119,7 +119,7 @@ def move_reference(judge: Judge, name: str, share: float) -> np.ndarray:
 
 def move_subject(judge: Judge, name: str, share: float) -> np.ndarray:
     """Our value is a share of float64's bound beside that of the primitive that we name; the rows."""
-    pair, own = judge.pair, judge.bounds.own
+    pair, own = judge.pair, judge.own
     rows, ours = np.flatnonzero(judge.hit), aov_rows(pair.subject, name)
     if name == "depth":
         t = judge.answer.t[rows] = own.t[rows] + share * own.t_error[rows]
@@ -157,14 +157,14 @@ def test_our_value_may_be_off_by_float64s_bound_and_no_more(one, name):
     inside, outside = altered(one), altered(one)
     rows = move_subject(inside, name, 0.9)
     judge = again(inside)
-    check = judge.pixels.self_checks[name]
+    check = judge.self_checks[name]
     assert check.counts[rows].all() and check.error[rows] / check.bound[rows] == pytest.approx(0.9, rel=0.08)
     assert classes_at(judge.judge(), rows) == {"agree"}
     move_subject(outside, name, 1.1)
     judge = again(outside)
     found = judge.judge()
     assert classes_at(found, rows) == {"wrong"} and failing_rows(found).tolist() == rows.tolist()
-    check = judge.pixels.self_checks[name]
+    check = judge.self_checks[name]
     assert check.fails[rows].all()
     assert np.array_equal(np.sort(failing_by_check(found)[name]), rows)
 
@@ -207,7 +207,7 @@ def test_a_shadow_that_is_not_there_or_missing_is_the_fault_of_who_has_it(one, l
     """Mitsuba's answer for one light turned round, then ours: no rounding allows either away from a shadow's edge."""
     judge = altered(one)
     unlit = judge.pair.result.unshadowed[light]
-    rows = np.flatnonzero(judge.hit & judge.bounds.at.certain & (unlit > 1e-3).any(axis=1))
+    rows = np.flatnonzero(judge.hit & judge.at.certain & (unlit > 1e-3).any(axis=1))
     both = judge.pair.result.visible[light, rows]
     assert both.any() and not both.all()
     judge.pair.result.visible[light, rows] ^= True
@@ -260,8 +260,8 @@ def reference_misses(judge: Judge, rows: np.ndarray) -> None:
 
 def some_of_each_shape(judge: Judge, count: int = 3) -> np.ndarray:
     """Rows away from edges, of every shape, whose normals are known."""
-    shapes, own = judge.result.shape_id, judge.bounds.own
-    certain = judge.bounds.at.certain & own.certain & np.isfinite(own.n_error)
+    shapes, own = judge.result.shape_id, judge.own
+    certain = judge.at.certain & own.certain & np.isfinite(own.n_error)
     rows = [np.flatnonzero((shapes == shape) & certain)[:count] for shape in range(len(SHAPES))]
     return np.sort(np.concatenate(rows))
 
@@ -313,7 +313,7 @@ def name_another(judge: Judge, rows: np.ndarray) -> None:
 
 def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     judge = altered(one)
-    rows = np.flatnonzero((aov_rows(judge.pair.subject, "shape_id") == 3) & judge.bounds.at.certain)
+    rows = np.flatnonzero((aov_rows(judge.pair.subject, "shape_id") == 3) & judge.at.certain)
     rows = rows[aov_rows(judge.pair.subject, "prim_id")[rows] < 88]
     name_another(judge, rows)
     found = again(judge).judge()
@@ -358,7 +358,7 @@ def candidate(request, send) -> Judge:
 
 @pytest.mark.parametrize("what", ["t", "normal"])
 def test_a_candidate_may_be_off_by_its_own_bound_and_no_more(candidate, what):
-    own = candidate.bounds.own
+    own = candidate.own
     rows = some_of_each_shape(candidate, 5)
     name = "depth" if what == "t" else "normal"
     for share in (0.9, 1.1):
