@@ -115,8 +115,14 @@ def run_checks(subject: Any) -> tuple[SceneCheck, ...]:
 
 
 def worst_share(shares: Iterable[Found]) -> Found:
-    """The largest of the errors over their bounds, NaN before all, and its place."""
-    return max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, "nothing to look at"))
+    """The largest of the errors over their bounds and its place; one that is infinite or NaN ends the search."""
+    worst: Found | None = None
+    for share in shares:
+        if worst is None or not share[0] <= worst[0]:
+            worst = share
+        if not share[0] < np.inf:
+            break
+    return worst or (0.0, "nothing to look at")
 
 
 def bits_differ(a: Array, b: Array) -> Array:
