@@ -1,7 +1,5 @@
 """Error bounds at each pixel, on the primitive that the subject hits: of the reference, and of our float64."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from caster.aovs import Aovs
@@ -14,13 +12,6 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 from mitsuba_ref.error_model.tolerances import KU_OURS
-
-
-class Bounds(NamedTuple):
-    """Intersections of rays (n,) with the primitives that the subject names; inf where there is no bound."""
-
-    own: Intersections  # the intersection in float64
-    at: Intersections  # the intersection, with the reference's error bounds
 
 
 def intersections_at(

@@ -1,6 +1,6 @@
 """Independent computation of to_world transforms, and helpers for the packed numbers that follow from them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,23 +10,16 @@ from mitsuba_ref.error_model.intersections import Array, norm, unit, without_flo
 from mitsuba_ref.error_model.tolerances import K
 
 
-def compose_transform(steps: Sequence[Any]) -> Array:
-    """The 4x4 matrix of the steps of a to_world; the first step acts first."""
-    matrix = np.eye(4)
-    for step in steps:
-        matrix = _matrix(step) @ matrix
-    return matrix
-
-
 def transform_error_ratio(shape: Shape) -> float:
-    """Largest difference between the caster's matrix and compose_transform, over its float64 error bound.
+    """Largest difference between the caster's matrix and the product of its steps, over its float64 error bound.
 
-    Each of n steps adds K roundings of a row times a column, whose size is the product of the steps' magnitudes.
+    The first step acts first. Each of n steps adds K roundings of a row times a column, whose size is the product of
+    the steps' magnitudes.
     """
-    expected = compose_transform(shape.to_world)
-    size = np.eye(4)
+    expected = size = np.eye(4)
     for step in shape.to_world:
-        size = np.abs(_matrix(step)) @ size
+        matrix = _matrix(step)
+        expected, size = matrix @ expected, np.abs(matrix) @ size
     bound = K * (1 + len(shape.to_world)) * 2.0**-53 * (size + np.linalg.norm(size[:3, :3])) + np.finfo(float).tiny
     return float(np.max(np.abs(shape.matrix - expected) / bound))
 
@@ -36,10 +29,16 @@ def _matrix(step: Any) -> Array:
         return _affine(np.eye(3), step.translate)
     if step.scale is not None:
         return _affine(np.diag(step.scale))
-    if step.rotate is not None:
-        return _affine(_rotation(np.array(step.rotate.axis), np.deg2rad(np.fmod(step.rotate.degrees, 360.0))))
+    if step.rotate is not None:  # by the unit quaternion of half the angle
+        axis, half = np.array(step.rotate.axis), np.deg2rad(np.fmod(step.rotate.degrees, 360.0)) / 2.0
+        cross = np.cross(np.eye(3), np.sin(half) * axis / np.linalg.norm(axis))  # cross @ x = v cross x
+        return _affine(np.eye(3) + 2.0 * np.cos(half) * cross + 2.0 * cross @ cross)
     if step.look_at is not None:
-        return _look_at(*(np.array(v) for v in (step.look_at.origin, step.look_at.target, step.look_at.up)))
+        origin, target, up = (np.array(v) for v in (step.look_at.origin, step.look_at.target, step.look_at.up))
+        forward = (target - origin) / np.linalg.norm(target - origin)
+        left = np.cross(up, forward)
+        left = left / np.linalg.norm(left)
+        return _affine(np.column_stack([left, np.cross(forward, left), forward]), origin)
     return np.array(step.matrix, np.float64)
 
 
@@ -47,20 +46,6 @@ def _affine(linear: Array, move: Any = (0.0, 0.0, 0.0)) -> Array:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, move
     return matrix
-
-
-def _rotation(axis: Array, angle: float) -> Array:
-    """Rotation matrix from the unit quaternion of half the angle."""
-    w, v = np.cos(angle / 2.0), np.sin(angle / 2.0) * axis / np.linalg.norm(axis)
-    cross = np.cross(np.eye(3), v)  # cross @ x = v cross x
-    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-
-
-def _look_at(origin: Array, target: Array, up: Array) -> Array:
-    forward = (target - origin) / np.linalg.norm(target - origin)
-    left = np.cross(up, forward)
-    left = left / np.linalg.norm(left)
-    return _affine(np.column_stack([left, np.cross(forward, left), forward]), origin)
 
 
 # Expected packed numbers, from the description and its matrix by formulas other than the caster's. Both sides trace the

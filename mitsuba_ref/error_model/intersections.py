@@ -137,11 +137,6 @@ def any_of_columns(rows: Array) -> Array:
     return np.logical_or.reduce([*rows.T])
 
 
-def all_of_columns(rows: Array) -> Array:
-    """(m,) bool: all of a few columns (m, c) are true."""
-    return np.logical_and.reduce([*rows.T])
-
-
 def largest_of_columns(rows: Array) -> Array:
     """(m,) largest of a few numbers >= 0 in each row (m, c); 0 without columns, NaN if any is NaN."""
     return np.maximum.reduce([np.zeros(len(rows)), *rows.T])

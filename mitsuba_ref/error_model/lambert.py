@@ -26,21 +26,14 @@ from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 LARGEST_DIRECTION_ERROR = 0.5
 
 
-class Materials(NamedTuple):
-    """Materials of all shapes."""
-
-    reflectance: Array  # (shapes, 3), NaN for a texture
-    two_sided: Array  # (shapes,) bool
-
-
 class ShadingPoints(NamedTuple):
-    """Positions of m hits, directions of their rays, their shapes, and the error bounds there."""
+    """Positions of m hits, directions of their rays, the error bounds there, and their materials."""
 
     p: Array  # (m, 3)
     d: Array  # (m, 3)
-    shape: Array  # (m,)
     at: Intersections
-    albedo: Array | None = None  # (m, 3) the subject's, which is used where a texture decides it
+    reflectance: Array  # (m, 3)
+    two_sided: Array  # (m,) bool
 
 
 class LightContribution(NamedTuple):
@@ -54,19 +47,22 @@ class LightContribution(NamedTuple):
 
 
 @without_overflow_warnings
-def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
+def light_contribution(light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
     """Radiance from `light`, with the error that follows from errors of the position and of the shading normal."""
-    reflectance, two_sided = reflectance_at(materials, hit), materials.two_sided[hit.shape]
     to_light, reach = direction_to_light(light, hit.p)
     distance = norm(to_light)
     turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
     turn = np.where(turn < LARGEST_DIRECTION_ERROR, turn, np.inf)
     cosine = dot(to_light, hit.at.sh_n) / distance
     facing = -dot(hit.d, hit.at.sh_n) / norm(hit.d)
-    seen = np.where(two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
+    seen = np.where(hit.two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
     doubtful = np.abs(facing) <= hit.at.sh_error + ku
     cosine = np.abs(cosine)
-    flux = _flux(light, distance) * reflectance / np.pi
+    if light.type == "point":
+        irradiance = np.array(light.intensity) / (distance * distance)[:, None]
+    else:
+        irradiance = np.array(light.irradiance)
+    flux = irradiance * hit.reflectance / np.pi
     spread = 1.0 / np.maximum(1.0 - turn, 0.0) ** 2  # of 1 / distance^2, when p moves by its error
     cosine_error = hit.at.sh_error + turn + ku
     most = flux * (spread * (cosine + cosine_error))[:, None]
@@ -75,12 +71,6 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
     error[~seen & (cosine > cosine_error) & ~doubtful] = 0.0
     radiance = np.where(doubtful[:, None], flux * cosine[:, None], radiance)
     return LightContribution(radiance, error, to_light, reach, doubtful)
-
-
-def reflectance_at(materials: Materials, hit: ShadingPoints) -> Array:
-    """(m, 3) of the material, or of its texture."""
-    found = materials.reflectance[hit.shape]
-    return found if hit.albedo is None else np.where(np.isnan(found), hit.albedo, found)
 
 
 def ambient_radiance(lights: Sequence[Any]) -> Array:
@@ -94,12 +84,6 @@ def direction_to_light(light: Any, p: Array) -> tuple[Array, Array]:
         return np.array(light.position) - p, np.ones(len(p))
     direction = np.array(light.direction)
     return np.tile(-direction / np.linalg.norm(direction), (len(p), 1)), np.full(len(p), np.inf)
-
-
-def _flux(light: Any, distance: Array) -> Array:
-    if light.type == "point":
-        return np.array(light.intensity) / (distance * distance)[:, None]
-    return np.tile(np.array(light.irradiance), (len(distance), 1))
 
 
 # ---- sums of lights, some of which may be lit or shadowed: the allowed combination that fits best
@@ -122,32 +106,20 @@ class LightChoices(NamedTuple):
 
 def smallest_error_ratio(ours: Array, fixed: Array, choices: LightChoices, ku: float) -> Array:
     """(m,) smallest ratio of error to bound, over all choices of lights, of ours (m, 3) against fixed plus lights."""
-    sorted_ = _uncertain_lights_first(choices) if choices.doubt.any() else choices
     count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
     best = np.full(len(ours), np.inf)
+    order = np.argsort(~choices.doubt, axis=0, kind="stable")[..., None]  # the lights of each pixel in doubt first
+    first, first_error, second, second_error, doubt = (
+        np.take_along_axis(a, order, axis=0) for a in (*choices[:4], choices.doubt[..., None])
+    )
     for flips in itertools.product((False, True), repeat=count):
-        switched = np.zeros_like(choices.doubt)
-        switched[:count] = np.array(flips, bool)[:, None] & sorted_.doubt[:count]
-        best = np.minimum(best, _share(ours, fixed, sorted_, switched[..., None], ku))
+        switched = np.zeros_like(doubt)
+        switched[:count] = np.array(flips, bool)[:, None, None] & doubt[:count]
+        total = fixed + np.where(switched, second, first).sum(axis=0)
+        rounded = ku * (fixed + total)  # the ambient light's own product, and the sum
+        bound = np.where(switched, second_error, first_error).sum(axis=0) + rounded
+        best = np.minimum(best, largest_of_columns(error_over_bound(np.abs(ours - total), bound)))
     return best
-
-
-def _uncertain_lights_first(choices: LightChoices) -> LightChoices:
-    """The lights of each pixel reordered, doubtful ones first."""
-    order = np.argsort(~choices.doubt, axis=0, kind="stable")
-    first, first_error, second, second_error = (np.take_along_axis(a, order[..., None], axis=0) for a in choices[:4])
-    return LightChoices(first, first_error, second, second_error, np.take_along_axis(choices.doubt, order, axis=0))
-
-
-def _share(ours: Array, fixed: Array, choices: LightChoices, switched: Array, ku: float) -> Array:
-    first, error = choices.first, choices.first_error
-    if switched.any():
-        first = np.where(switched, choices.second, first)
-        error = np.where(switched, choices.second_error, error)
-    total, error = fixed + first.sum(axis=0), error.sum(axis=0)
-    rounded = ku * (fixed + total)  # the ambient light's own product, and the sum
-    share = error_over_bound(np.abs(ours - total), error + rounded)
-    return largest_of_columns(share)
 
 
 # ---- shadows: whether each side may answer "lit", "in shadow" or both (docs/method.md, "Shadows")

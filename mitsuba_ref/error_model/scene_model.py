@@ -5,7 +5,7 @@ that a ray hits up to rounding, except for slivers thinner than BOX_MARGIN.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -114,20 +114,24 @@ class SceneModel:
 
         ours: without those that rounding by the reference may let it hit, though it passes their boxes by far.
         """
+        blurred = 0 if ours else len(self.blurred[0])
         for batch, ray, prim, _ in self.nearby.crossings(o, d):
             pairs = np.stack([ray, prim])
-            if ours or not len(self.blurred.prim):
+            if not blurred:
                 yield pairs
                 continue
-            at_once = max(1, MAX_RAY_BOX_PAIRS // len(self.blurred.prim))
+            at_once = max(1, MAX_RAY_BOX_PAIRS // blurred)
             for first in range(batch.start, batch.stop, at_once):
                 some = slice(first, min(first + at_once, batch.stop))
                 mine = pairs[:, (ray >= some.start) & (ray < some.stop)]
                 yield np.unique(np.hstack([mine, self._blurred_pairs(some, o, d)]), axis=1)
 
     @cached_property
-    def blurred(self) -> "BlurredPrimitives":
-        """Primitives that rays may hit in the reference although they pass their boxes by far."""
+    def blurred(self) -> tuple[Array, Array, Array, Array]:
+        """Primitives whose ErrorModel.growth is beyond BOX_MARGIN: the reference may hit them far beside their boxes.
+
+        Their numbers (m,); center (m, 3) and radius (m,) of a sphere around each; growth (m,).
+        """
         grown = [
             (kind.ids, model.growth(arrays))
             for kind, model, arrays in zip(self.packed.kinds, self.models, self.kinds, strict=True)
@@ -137,7 +141,7 @@ class SceneModel:
         beyond = growth > 0.5 * BOX_MARGIN  # which counts the largest coordinate, at least 1 / sqrt(3) of a length
         prim, growth = prim[beyond], growth[beyond]
         low, high = (corner[prim] for corner in self.boxes)
-        return BlurredPrimitives(prim, 0.5 * (low + high), 0.5 * norm(high - low), growth)
+        return prim, 0.5 * (low + high), 0.5 * norm(high - low), growth
 
     @without_overflow_warnings
     def _blurred_pairs(self, batch: slice, o: Array, d: Array) -> Array:
@@ -148,15 +152,6 @@ class SceneModel:
         off = np.sqrt(np.maximum((way**2).sum(axis=2) - along**2, 0.0))
         ray, which = np.nonzero(~(off > radius + growth * (norm(o[batch])[:, None] + norm(center))))
         return np.stack([ray + batch.start, prim[which]])
-
-
-class BlurredPrimitives(NamedTuple):
-    """Primitives whose ErrorModel.growth is beyond BOX_MARGIN."""
-
-    prim: Array  # (m,)
-    center: Array  # (m, 3) of a sphere around each
-    radius: Array  # (m,)
-    growth: Array  # (m,)
 
 
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
@@ -202,8 +197,9 @@ class InstancedModel(SceneModel):
         return turned
 
 
-RAYS_PER_RING, RING_RADII = 8, (1.0,)
-REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, (0.4, 0.7, 1.0)  # at disputed pixels
+# Rays on each ring, and the radii of rings, as fractions of the circle that encloses all possible rays.
+RAYS_PER_RING, RING_RADII = 8, [1.0]
+REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, [0.4, 0.7, 1.0]  # at disputed pixels
 # A primitive no larger than this many circles of rays may lie between the nine rays, so that hits are undecidable.
 UNRESOLVED_SIZE_IN_CIRCLES = 8.0
 
@@ -225,12 +221,7 @@ class UncertainRaysModel(SceneModel):
     turn: float = 0.0  # change of the direction, as a fraction of its length
     shift: float = 0.0  # change of the origin, scene units
     as_described: SceneModel | None = None  # the primitives in float64, if they differ
-    around: int = RAYS_PER_RING  # rays on each ring
-    rings: tuple[float, ...] = RING_RADII  # radii, as fractions of the circle that encloses all possible rays
-
-    def refined(self) -> "UncertainRaysModel":
-        """The same model with more rays, for the few disputed pixels."""
-        return replace(self, around=REFINED_RAYS_PER_RING, rings=REFINED_RING_RADII)
+    refined: bool = False  # by more rays, for the few disputed pixels
 
     def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
         """As SceneModel.intersect, widened to enclose the intersections of neighbouring rays."""
@@ -257,9 +248,12 @@ class UncertainRaysModel(SceneModel):
         along = unit(d)
         right = unit(perpendicular(along))
         up = np.cross(along, right)
-        out = 1.0 / np.cos(np.pi / self.around)
-        for ring in self.rings:
-            for angle in 2.0 * np.pi * np.arange(self.around) / self.around:
+        count, radii = RAYS_PER_RING, RING_RADII
+        if self.refined:
+            count, radii = REFINED_RAYS_PER_RING, REFINED_RING_RADII
+        out = 1.0 / np.cos(np.pi / count)
+        for ring in radii:
+            for angle in 2.0 * np.pi * np.arange(count) / count:
                 yield ring * out * (np.cos(angle) * right + np.sin(angle) * up)
 
 

@@ -95,10 +95,7 @@ def claims_of(answer: Answer, packed: Packed) -> Claims:
 IntersectionsNear = Callable[[Array, Array, Array], Intersections]
 
 
-Column = tuple[str, Array, Callable[[Array], Array]]
-
-
-def id_columns(answer: Answer, packed: Packed) -> list[Column]:
+def id_columns(answer: Answer, packed: Packed) -> list[tuple[str, Array, Callable[[Array], Array]]]:
     """(name, (n,) the subject's numbers, primitives of the scene -> the right numbers) of each column that is given."""
     columns = (
         ("shape", answer.shape_id, packed.shape_of),

@@ -17,11 +17,10 @@ from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
+from mitsuba_ref.judge.classification import EXACT, Judge, Judgement
 from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers
 from mitsuba_ref.judge.verdict import (
-    AGREE,
     CLASSES,
     FAILING,
     MAX_LISTED_FAILURES,
@@ -59,15 +58,9 @@ def kind_counts(judgement: Judgement, film: BounceFilm) -> dict[str, dict[str, i
     """Rays of each class that occurs, by their kind; misses included."""
     kinds, classes, found = film.bounce.rays.kind, judgement.classes[film.row], {}
     for kind in np.unique(kinds):
-        counts = zip(CLASSES, np.bincount(classes[kinds == kind]).tolist(), strict=False)
-        found[RAY_KINDS[kind]] = {name: count for name, count in counts if count}
+        codes, counts = np.unique(classes[kinds == kind], return_counts=True)
+        found[RAY_KINDS[kind]] = {CLASSES[code]: count for code, count in zip(codes, counts.tolist(), strict=True)}
     return found
-
-
-def largest_ratios(judgement: Judgement) -> dict[str, float]:
-    """The largest ratio of each check among the pixels that agree."""
-    agreeing = judgement.classes == CLASS_CODE[AGREE]
-    return {name: float(ratio[agreeing].max(initial=0.0)) for name, ratio in judgement.ratios.items()}
 
 
 def defect_counts(judgement: Judgement) -> dict[str, int]:
@@ -142,7 +135,6 @@ def decisive_checks(judgement: Judgement, rows: Array) -> list[str]:
     """The check with the largest excess of each row; `exact`, the least specific, only if no other fails."""
     names = list(judgement.ratios)
     excess = np.stack([judgement.excess(name)[rows] for name in names])
-    excess = np.where(np.isnan(excess), np.inf, excess)
     beyond = (excess > 1.0) & (np.array(names) != EXACT)[:, None]
     ranked = np.where(beyond | ~beyond.any(axis=0), excess, -1.0)
     return [names[i] for i in ranked.argmax(axis=0)]
@@ -187,7 +179,13 @@ def judged_film(judge: Judge, judgement: Judgement) -> JudgedFilm:
 
 
 def _failing(judge: Judge, judgement: Judgement) -> Iterator[FailingPixel]:
-    pair, bounds, rows = judge.pair, error_bounds(judge), failing_rows(judgement)
+    pair, own, rows = judge.pair, judge.own, failing_rows(judgement)
+    # Bounds on the error of each check that has one, in the unit of its values; 0 for numbers and hits.
+    bounds = dict.fromkeys(("mask", "shape_id", "prim_id"), np.zeros(len(judge.hit)))
+    bounds |= {"normal": own.n_error, "depth": (own.t_error + judge.answer.t_rounding) * pair.length}
+    bounds["on_surface"] = bounds["depth"]
+    if judge.names_prims:
+        bounds |= judge.allowed_distance
     for row, check in zip(rows.tolist(), decisive_checks(judgement, rows), strict=True):
         name, ratio = VALUES_OF.get(check, check), float(judgement.ratios[check][row])
         x, y = pixel_of(judge.scene, row)
@@ -205,30 +203,18 @@ def _value(aovs: Aovs, name: str, row: int) -> Any:
     return value.item() if value.ndim == 0 else value
 
 
-def error_bounds(judge: Judge) -> dict[str, Array]:
-    """(n,) the bound on the error of each check that has one, in the unit of its values; 0 for numbers and hits."""
-    own, pixels = judge.bounds.own, judge.pixels
-    of_depth = (own.t_error + judge.answer.t_rounding) * pixels.length
-    found = dict.fromkeys(("mask", "shape_id", "prim_id"), np.zeros(len(judge.hit)))
-    found |= {"normal": own.n_error, "depth": of_depth, "on_surface": of_depth}
-    return found | pixels.allowed_distance if judge.names_prims else found
-
-
 def joined(bands: Sequence[JudgedFilm]) -> JudgedFilm:
     """One film of bands of whole rows, from top to bottom."""
     if len(bands) == 1:
         return bands[0]
-    images = {side: _stacked([band.images[side] for band in bands]) for side in bands[0].images}
+    images = {}
+    for side in bands[0].images:
+        parts = [band.images[side] for band in bands]
+        names = [name for name in parts[0] if all(name in part for part in parts)]
+        whole = {name: np.concatenate([part[name] for part in parts]) for name in names}
+        images[side] = Aovs(whole, np.concatenate([part.hit for part in parts]))
     failing = tuple(pixel for band in bands for pixel in band.failing)
     return JudgedFilm(np.concatenate([band.classes for band in bands]), images, failing)
-
-
-def _stacked(bands: Sequence[Aovs]) -> Aovs:
-    names = [name for name in bands[0] if all(name in band for band in bands)]
-    return Aovs(
-        {name: np.concatenate([band[name] for band in bands]) for name in names},
-        np.concatenate([band.hit for band in bands]),
-    )
 
 
 # ---- the windows of a large film, judged one after the other ----
@@ -241,11 +227,17 @@ COUNTS = ("counts", "cases", "failing_by")
 def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
     """The verdict of a film from those of its windows, with the biases of the one that the report shows.
 
-    Numbers are added up, and the largest ratios are kept; failures of the first window are listed first. A window
-    without a comparison is a problem of the whole film.
+    Numbers are added up, and the largest ratios are kept; one failure of each reason is listed first, then the worst. A
+    window without a comparison is a problem of the whole film.
     """
     sums: dict[str, Any] = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
-    counts: dict[str, Any] = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
+    counts: dict[str, Any] = {name: Counter() for name in COUNTS}
+    for window in windows:
+        for name, count in counts.items():
+            count.update(getattr(window, name))
+    failures = [failure for window in windows for failure in window.failures]
+    one_of_each = {failure.reason: failure for failure in reversed(failures)}
+    listed = dict.fromkeys([*reversed(one_of_each.values()), *sorted(failures, key=_badness, reverse=True)])
     longest_first = sorted(windows, key=lambda window: -len(window.checks))
     checks = _largest([{check.name: check for check in window.checks} for window in longest_first])
     return replace(
@@ -254,7 +246,7 @@ def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
         **counts,
         ratios=_largest([window.ratios for window in windows]),
         checks=tuple(checks.values()),
-        failures=_leading([failure for window in windows for failure in window.failures]),
+        failures=tuple(listed)[:MAX_LISTED_FAILURES],
         reference_stored=all(window.reference_stored for window in windows),
         problem=next((window.problem for window in windows if window.problem), ""),
         reproducers=tuple(file for window in windows for file in window.reproducers),
@@ -262,13 +254,6 @@ def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
         findings=_merged_findings(windows),
         notes=tuple(dict.fromkeys(note for window in windows for note in window.notes)),
     )
-
-
-def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
-    total: Counter[str] = Counter()
-    for each in counts:
-        total.update(each)
-    return dict(total)
 
 
 def _largest(windows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -284,20 +269,12 @@ def _badness(entry: Any) -> tuple[bool, float]:
     return (not ratio <= np.inf, ratio)
 
 
-def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
-    """One of each reason, then the worst of the others."""
-    leading = list({failure.reason: failure for failure in reversed(failures)}.values())[::-1]
-    others = sorted((failure for failure in failures if failure not in leading), key=_badness, reverse=True)
-    return tuple([*leading, *others][:MAX_LISTED_FAILURES])
-
-
 def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:
     """Each diagnosis once, most pixels first."""
     merged: dict[str, Finding] = {}
     for more in chain.from_iterable(window.findings for window in windows):
-        if (first := merged.get(more.what)) is None:
-            merged[more.what] = more
-            continue
-        pixels, of, alike = first.pixels + more.pixels, first.of + more.of, first.alike + more.alike
-        merged[more.what] = replace(first, pixels=pixels, of=of, alike=alike)
+        if first := merged.get(more.what):
+            pixels, of, alike = first.pixels + more.pixels, first.of + more.of, first.alike + more.alike
+            more = replace(first, pixels=pixels, of=of, alike=alike)
+        merged[more.what] = more
     return tuple(sorted(merged.values(), key=lambda each: -each.pixels))

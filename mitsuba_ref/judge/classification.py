@@ -15,24 +15,22 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from caster.aovs import Aovs
-from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
+from mitsuba_ref.error_model.bounds import aov_rows, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
-from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, row_groups, without_float_warnings
-from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
+from mitsuba_ref.error_model.intersections import Array, Rays, row_groups, without_float_warnings
+from mitsuba_ref.error_model.scene_model import UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import Adjudication, claims_of, exact_ratios, oracle_answers, sample_rows
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
-from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, UvPair, compare, inconsistent_aovs, pair_images
+from mitsuba_ref.judge.comparison import Pixels, allowed_shares, check_ratios, pair_images
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
-from mitsuba_ref.judge.diffuse import diffuse_within_float64, judge_diffuse, shading_points
+from mitsuba_ref.judge.diffuse import diffuse_within_float64, hits_of, judge_diffuse
 from mitsuba_ref.judge.verdict import CLASSES, JUDGED_WITHOUT_REFERENCE
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
-from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.subjects.requests import SubjectResponse
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
@@ -58,7 +56,7 @@ class Judgement:
 
     classes: Array  # (n,) index into CLASSES
     ratios: Mapping[str, Array]  # (n,) error over bound of each check, `exact` included
-    allowed: Mapping[str, float]  # the scene's own shares of bounds
+    allowed: Mapping[str, float]  # the scene's own shares of bounds; 1 for other checks
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
     not_adjudicated: Array  # rows
@@ -76,75 +74,13 @@ class Judgement:
         return bool(self.exact.right[self.exact.rows == row].any())
 
 
-class Judge:
-    """One scene, with the answers of a subject and of the reference along the same rays."""
-
-    def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair, view: SceneModel | None = None):
-        """view: the model as the subject may see it, if not `model`."""
-        self.scene, self.model, self.pair, self.view = scene, model, pair, view or model
-        self.answer, self.result = pair.answer, pair.result
-        self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
-        self.t_max = pair.rays.t_max.astype(np.float64)
-        self.t_min = np.broadcast_to(np.asarray(pair.rays.t_min, np.float64), self.t_max.shape)
-        self.hit = pair.subject.hit.ravel()
-        self.reference_prim = reference_prims(self.result, model)
-        # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
-        self.names_prims = self.answer.prim is not None
-        self.prim = self.reference_prim if self.answer.prim is None else self.answer.prim
-        t, reference_t = (self.answer.t,) * 2 if self.names_prims else (self.result.t, self.reference_t)
-        at = intersections_at(model, self.prim, *self.reference_lines[:2], reference_t, KU, ours=False)
-        self.bounds = Bounds(self.near(slice(None), self.prim, t), at)
-        with np.errstate(invalid="ignore"):
-            self.point = self.o + self.answer.t[:, None] * self.d
-        reference = pair.reference
-        if self.answer.prim_id is not None:  # as packed: Mitsuba counts the triangles of a stand-in by itself
-            numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
-            reference = Aovs({**reference, "prim_id": numbers}, reference.hit)
-        uv = self._uv_pair() if "uv" in pair.subject else None
-        self.pixels = PixelPairs(pair.subject, reference, self.bounds, self.answer, pair.length, self.point, uv)
-        # No rounding excuses images that contradict themselves.
-        self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
-        self.consistent = ~np.any([np.zeros(len(self.hit), bool), *self.inconsistent.values()], axis=0)
-
-    def _uv_pair(self) -> UvPair:
-        """uv of both sides; if the reference names the other face of an edge, its uv are compared at that face."""
-        prim, theirs = self.prim, aov_rows(self.pair.reference, "uv")
-        ours = self.model.uv_points(prim, aov_rows(self.pair.subject, "uv"), ours=True)
-        reference = self.model.uv_points(prim, theirs, ours=False)
-        known, bound = self.model.reference_has_uv(prim), self.bounds.at.uv_error.copy()
-        rows = np.flatnonzero((prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known)
-        if len(rows):
-            other, (o, d, _) = self.reference_prim[rows], (a[rows] for a in self.reference_lines)
-            at = intersections_at(self.model, other, o, d, self.reference_t[rows], KU, ours=False)
-            moved = self.model.uv_points(other, theirs[rows], ours=False) - at.uv
-            reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
-        return UvPair(ours, np.where(known[:, None], reference, ours), bound)
-
-    def near(self, rows: Array | slice, prim: Array, t: Array) -> Intersections:
-        """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
-        ku, ours = self.answer.ku, not self.answer.as_exported
-        return intersections_at(self.view, prim, self.o[rows], self.d[rows], t, ku, ours=ours)
-
-    @cached_property
-    def reference_lines(self) -> tuple[Array, Array, Array]:
-        """o, d, t_max as Mitsuba traced them: (self.o, self.d, self.t_max), but for rays of a list."""
-        rays = self.pair.rays.for_reference()
-        return rays.o.astype(np.float64), rays.d.astype(np.float64), rays.t_max.astype(np.float64)
-
-    @property
-    def reference_t(self) -> Array:
-        """(n,) Mitsuba's t along `reference_lines`, where self.result.t counts from o."""
-        return self.result.answer.t.astype(np.float64)
-
-    @property
-    def n(self) -> Array | None:
-        """(n, 3) the subject's geometric normals, if it gives any."""
-        return aov_rows(self.pair.subject, "normal") if self.answer.n is None and self.names_prims else self.answer.n
+class Judge(Pixels):
+    """Gives each pixel its class."""
 
     @cached_property
     def bracket(self) -> Bracket:
         """The answers that rounding allows the subject."""
-        view = self.view.refined() if isinstance(self.view, UncertainRaysModel) else self.view
+        view = replace(self.view, refined=True) if isinstance(self.view, UncertainRaysModel) else self.view
         return Bracket(view, self.answer.ku, ours=not self.answer.as_exported)
 
     @cached_property
@@ -158,11 +94,13 @@ class Judge:
 
     def judge(self) -> Judgement:
         """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
-        comparison = compare(self.pixels, self.scene.checks if self.names_prims else {})
+        allowed = allowed_shares(self.scene.checks if self.names_prims else {})
+        ratios = check_ratios(self)
 
         # Step 1: plain agreement. Images that contradict themselves, and invalid answers, agree with nothing.
         loose, fits, broken = self._has_loose_normals(), self._reference_fits(), self.answer.is_broken
-        agreeing = comparison.agrees & self.consistent & ~broken & fits & ~loose
+        agrees = np.all([ratio <= allowed.get(name, 1.0) for name, ratio in ratios.items()], axis=0)
+        agreeing = agrees & self.consistent & ~broken & fits & ~loose
 
         # Step 2: exact arithmetic, where it may matter and at some pixels where it should not.
         exact = self._adjudicate(agreeing)
@@ -170,23 +108,23 @@ class Judge:
         # Step 3: classes of disputed pixels, first where the subject is exactly right, then where it is not.
         classes = np.where(agreeing, CODE.agree, CODE.undecided)
         # A pixel that fails only the scene's own stricter bounds is not disputed: nothing excuses it.
-        disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
+        beyond = np.any([~(ratio <= 1.0) for ratio in ratios.values()], axis=0)
+        disputed = ~agreeing & self.consistent & (loose | beyond | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & (~exact.of_first | self.hits_at_t_min[exact.rows])
         classes[exact.rows[other_tie]] = CODE.tie
-        for check in self.pixels.self_checks.values():
+        for check in self.self_checks.values():
             classes[check.fails & self.consistent] = CODE.wrong
         classes[exact.rows[~exact.answered]] = CODE.undecided
-        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
+        rows, (excused, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
         classes[rows] = CODE.wrong  # unless its own rounding allows the answer
         classes[rows[lost]] = CODE.out_of_domain
-        classes[rows[allowed]] = CODE.explained
+        classes[rows[excused]] = CODE.explained
         classes[broken | ((self.t_max < 0.0) & self.hit)] = CODE.wrong
 
         # Step 4: light, where the subject gives it.
-        ratios = dict(comparison.ratios)
-        if "diffuse" in self.pair.subject:
-            ratios["diffuse"] = self._classify_diffuse(classes, comparison.allowed["diffuse"])
+        if "diffuse" in self.subject:
+            ratios["diffuse"] = self._classify_diffuse(classes, allowed.get("diffuse", 1.0))
         ratios[EXACT] = np.zeros(len(classes))
         ratios[EXACT][exact.rows] = np.where(exact.answered, exact.ratio, 0.0)
         for name, where in self.inconsistent.items():
@@ -197,13 +135,13 @@ class Judge:
         left_out = ~agreeing & (classes == CODE.undecided) & (self.t_max >= 0.0)
         left_out[exact.rows] = False
         rows = np.flatnonzero(left_out & self.consistent)
-        return Judgement(classes, ratios, comparison.allowed, exact, cases, rows)
+        return Judgement(classes, ratios, allowed, exact, cases, rows)
 
     def _has_loose_normals(self) -> Array:
         """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""
-        at, own = self.bounds.at, self.bounds.own
+        at, own = self.at, self.own
         error = np.maximum(at.n_error, at.sh_error) if self.names_prims else own.n_error
-        loose = self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
+        loose = self.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
         return loose & (not self.answer.hits_only)
 
     @without_float_warnings
@@ -211,44 +149,44 @@ class Judge:
         """(n,) bool: Mitsuba's answer lies on the primitive it names, so that a subject may be held to that one."""
         if self.names_prims:
             return np.ones(len(self.t_max), bool)
-        at, result = self.bounds.at, self.result
+        at, result = self.at, self.result
         t = self.reference_t
         fits = at.possible & (np.abs(t - at.t) <= at.t_error) & (t > 0.0)
-        fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
+        fits &= row_distance(aov_rows(self.reference, "normal"), at.n) <= at.n_error
         return fits | ~result.hit
 
     @without_float_warnings
     def _adjudicate(self, agreeing: Array) -> Adjudication:
         """Compare the subject with exact arithmetic where it disagrees, near edges, and at some other pixels."""
-        disputed = ~agreeing
-        certain = self.bounds.at.certain
+        own, certain = self.own, self.at.certain
         if not self.answer.exact_visibility:
-            certain = certain & self.bounds.own.certain
-        if self.pair.rays.is_list:
-            own = self.bounds.own  # rounding may move a hit beyond t_min or t_max
-            certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
-            agreeing = agreeing & ~self._may_hit()
+            certain = certain & own.certain
         hits = np.pad(self.hit.reshape(self.pair.shape), 1)
         near_hit = sliding_window_view(hits, (3, 3)).any(axis=(2, 3)).ravel()
+        if self.pair.rays.is_list:
+            # Rounding may move a hit beyond t_min or t_max, and a miss has no neighbours.
+            certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
+            rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
+            rays = Rays(self.o[rows], self.d[rows], self.t_min[rows], self.t_max[rows])
+            near_hit[rows] |= self.bracket.blocked(rays)[0]
         chosen = ~agreeing | np.where(self.hit, ~certain, near_hit)
         chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
         rows = np.flatnonzero(chosen & (self.t_max >= 0.0))
-        return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]])[rows]])
+        return self.adjudicated(np.setdiff1d(rows, self._surely_wrong(rows[~agreeing[rows]])))
 
     def _surely_wrong(self, rows: Array) -> Array:
-        """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
+        """Those of some disputed rows that need no adjudication, since nearly all of a sample of their kind are wrong.
 
-        rows: the pixels that disagree. These pixels stay undecided, which fails as well.
+        These pixels stay undecided, which fails as well.
         """
-        found, kind = np.zeros(len(self.hit), bool), self.kinds_of_pixels(rows)
+        found, kind = rows[:0], self.kinds_of_pixels(rows)
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
             exact = self.adjudicated(sample)
             excused = np.any(self._within_rounding(exact), axis=0)
             if (~excused).sum() >= NEARLY_ALL * len(sample):
-                found[members] = True
-                found[sample] = False
+                found = np.union1d(found, np.setdiff1d(members, sample))
         return found
 
     def kinds_of_pixels(self, rows: Array) -> Array:
@@ -273,13 +211,6 @@ class Judge:
         found: Array = off <= self.answer.ku * np.abs(self.o).max(axis=1)
         return found & (not (self.answer.exact_visibility or self.answer.hits_only))
 
-    def _may_hit(self) -> Array:
-        """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
-        rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
-        found = np.zeros(len(self.hit), bool)
-        found[rows], _ = self.bracket.blocked(Rays(self.o[rows], self.d[rows], self.t_min[rows], self.t_max[rows]))
-        return found
-
     def _classify_reference(self, classes: Array, disputed: Array, loose: Array, exact: Adjudication) -> None:
         """Classify disputed pixels where the subject is exactly right, by Mitsuba's answer."""
         rows = np.flatnonzero(disputed)
@@ -290,7 +221,7 @@ class Judge:
         found = self.reference_bracket.judge(o, d, t_max, claims)
         # No numbers within the bounds give a hit at the origin itself: a ray begins beyond it.
         allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
-        at = self.bounds.at if self.names_prims else self.bounds.own
+        at = self.at if self.names_prims else self.own
         useless = loose[rows] | (self.hit & (self.prim >= 0) & ~np.isfinite(at.t_error))[rows]
         classes[rows] = CODE.reference_wrong
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
@@ -321,34 +252,33 @@ class Judge:
 
     def _reference_claims(self, rows: Array) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
-        shape, *vectors = (aov_rows(self.pair.reference, name)[rows] for name in names)
+        shape, *vectors = (aov_rows(self.reference, name)[rows] for name in names)
         claims = Claims(self.reference_t[rows], shape, *vectors)
-        return claims if self.pixels.uv is None else claims._replace(uv=self.result.answer.uv[rows])
+        return claims if self.uv is None else claims._replace(uv=self.result.answer.uv[rows])
 
     def _classify_diffuse(self, classes: Array, allowed: float) -> Array:
         """(n,) error over bound by Mitsuba's lights where geometry agrees, elsewhere by float64; changes classes."""
         agreeing = np.flatnonzero((classes == CODE.agree) & self.hit)
-        brackets = self.bracket, self.reference_bracket
-        diffuse = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, brackets)
-        beyond = diffuse.ratio > allowed
-        disputed = beyond & (diffuse.ratio > 1.0) & ~diffuse.unresolvable & ~diffuse.explained
+        ratio, explained, unresolvable = judge_diffuse(self, agreeing, (self.bracket, self.reference_bracket))
+        beyond = ratio > allowed
+        disputed = beyond & (ratio > 1.0) & ~unresolvable & ~explained
         classes[beyond] = CODE.undecided
-        classes[beyond & (diffuse.ratio > 1.0) & diffuse.unresolvable] = CODE.out_of_domain
-        classes[beyond & diffuse.explained] = CODE.explained
-        testable = self.hit & np.isfinite(self.bounds.own.t_error)
+        classes[beyond & (ratio > 1.0) & unresolvable] = CODE.out_of_domain
+        classes[beyond & explained] = CODE.explained
+        testable = self.hit & np.isfinite(self.own.t_error)
         # Compared with float64: all that pass without the reference, and some that agree, which would show a subject
         # that copies Mitsuba's coarse shadows.
         held = disputed | np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
         held[sample_rows(np.flatnonzero(classes == CODE.agree), AGREEING_PIXELS_SHADED)] = True
         alone = np.flatnonzero(held & testable)
         if len(alone):
-            values = aov_rows(self.pair.subject, "diffuse")[alone]
-            own = shading_points(self.pair, self.bounds.own, alone)
+            values = aov_rows(self.subject, "diffuse")[alone]
+            own = hits_of(self, self.own, alone)
             right = diffuse_within_float64(self.scene, own, self.prim[alone], values, self.bracket)
             classes[alone[right & disputed[alone]]] = CODE.reference_wrong
             classes[alone[~right]] = CODE.wrong
-            diffuse.ratio[alone[~right]] = np.inf
-        return diffuse.ratio
+            ratio[alone[~right]] = np.inf
+        return ratio
 
     def _known_cases(self, rows: Array, agreeing: Array, exact: Adjudication) -> dict[int, int | None]:
         """The known defect at each row, where the reference is wrong. Wrong light on a right surface is none."""
@@ -366,18 +296,6 @@ class Judge:
         return cases
 
 
-def reference_prims(result: ReferenceResult, model: SceneModel) -> Array:
-    """(n,) the number in the scene of the primitive that Mitsuba names, -1 on a miss.
-
-    A shape with a stand-in counts as its first primitive, since Mitsuba numbers the stand-in's own triangles.
-    """
-    shape = result.shape_id
-    first, last = model.packed.first[shape], model.packed.first[shape + 1]
-    prim = first + result.answer.prim
-    prim = np.where((prim >= first) & (prim < last), prim, first)
-    return np.where(result.hit & (shape >= 0), prim, -1).astype(np.int32)
-
-
 def judge_of(
     response: SubjectResponse,
     *,
@@ -390,15 +308,19 @@ def judge_of(
     send: the way to Mitsuba. with_files: it also reads the mesh files. Raises SceneError.
     """
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
-    traced = rays.for_reference()
-    lights = answer.images is not None
     with ScratchFolder() as folder:
         files = files_of(scene) if with_files else ()
         meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
-        result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
+        result = trace_reference(
+            scene,
+            model,
+            rays.for_reference(),
+            lights=answer.images is not None,
+            mesh_files=meshes,
+            timeout=timeout,
+            send=send,
+        )
     if isinstance(result, Crash):
         return result
-    if rays.is_list:
-        result = replace(result, t=rays.t_of_reference(result.t))
-    pair = pair_images(scene, rays, answer, result)
-    return Judge(scene, model, pair, response.view)
+    result = replace(result, t=rays.t_of_reference(result.t))
+    return Judge(scene, model, pair_images(scene, rays, answer, result), response.view)

@@ -14,20 +14,20 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
-from caster.geometry.packing import Packed
 from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
-from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
+from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, intersections_at, row_distance
 from mitsuba_ref.error_model.intersections import (
     Array,
-    all_of_columns,
+    Intersections,
     any_of_columns,
     norm,
     without_float_warnings,
     without_overflow_warnings,
 )
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
-from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, NOT_FINITE, Answer
@@ -103,6 +103,18 @@ def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs
     return Aovs(images, answer.hit.reshape(shape))
 
 
+def reference_prims(result: ReferenceResult, model: SceneModel) -> Array:
+    """(n,) the number in the scene of the primitive that Mitsuba names, -1 on a miss.
+
+    A shape with a stand-in counts as its first primitive, since Mitsuba numbers the stand-in's own triangles.
+    """
+    shape = result.shape_id
+    first, last = model.packed.first[shape], model.packed.first[shape + 1]
+    prim = first + result.answer.prim
+    prim = np.where((prim >= first) & (prim < last), prim, first)
+    return np.where(result.hit & (shape >= 0), prim, -1).astype(np.int32)
+
+
 class UvPair(NamedTuple):
     """uv of both sides in the UvSpace of the primitive in question."""
 
@@ -124,26 +136,79 @@ class SelfCheck(NamedTuple):
         return self.counts & ~(self.error <= self.bound)
 
 
-@dataclass(frozen=True)
-class PixelPairs:
-    """Input of the checks: both sides' images, n pixels row by row, and the bounds between them."""
+class Pixels:
+    """The pixels of a film, row by row: the answers of both sides along the same rays, and the bounds between them."""
 
-    subject: Aovs
-    reference: Aovs
-    bounds: Bounds
-    answer: Answer  # of the subject
-    length: Array  # (n,) of each ray's d
-    point: Array  # (n, 3) o + t d at the subject's hits
-    uv: UvPair | None = None  # None: not given
+    def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair, view: SceneModel | None = None):
+        """view: the model as the subject may see it, if not `model`."""
+        self.scene, self.model, self.pair, self.view = scene, model, pair, view or model
+        self.answer, self.result = pair.answer, pair.result
+        self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
+        self.t_max = pair.rays.t_max.astype(np.float64)
+        self.t_min = np.broadcast_to(np.asarray(pair.rays.t_min, np.float64), self.t_max.shape)
+        self.subject, self.reference = pair.subject, pair.reference
+        self.hit = pair.subject.hit.ravel()
+        self.reference_prim = reference_prims(self.result, model)
+        # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
+        self.names_prims = self.answer.prim is not None
+        self.prim = self.reference_prim if self.answer.prim is None else self.answer.prim
+        t, reference_t = (self.answer.t,) * 2 if self.names_prims else (self.result.t, self.reference_t)
+        # The intersections with it: in the subject's precision, and with the reference's error bounds.
+        self.own = self.near(slice(None), self.prim, t)
+        self.at = intersections_at(model, self.prim, *self.reference_lines[:2], reference_t, KU, ours=False)
+        with np.errstate(invalid="ignore"):
+            self.point = self.o + self.answer.t[:, None] * self.d
+        if self.answer.prim_id is not None:  # as packed: Mitsuba counts the triangles of a stand-in by itself
+            numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
+            self.reference = Aovs({**pair.reference, "prim_id": numbers}, pair.reference.hit)
+        self.uv = self._uv_pair() if "uv" in pair.subject else None
+        # No rounding excuses images that contradict themselves.
+        self.inconsistent = inconsistent_aovs(self)
+        self.consistent = ~np.any([np.zeros(len(self.hit), bool), *self.inconsistent.values()], axis=0)
 
-    def pair(self, name: str) -> tuple[Array, Array]:
+    def _uv_pair(self) -> UvPair:
+        """uv of both sides; if the reference names the other face of an edge, its uv are compared at that face."""
+        prim, theirs = self.prim, aov_rows(self.reference, "uv")
+        ours = self.model.uv_points(prim, aov_rows(self.subject, "uv"), ours=True)
+        reference = self.model.uv_points(prim, theirs, ours=False)
+        known, bound = self.model.reference_has_uv(prim), self.at.uv_error.copy()
+        rows = np.flatnonzero((prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known)
+        if len(rows):
+            other, (o, d, _) = self.reference_prim[rows], (a[rows] for a in self.reference_lines)
+            at = intersections_at(self.model, other, o, d, self.reference_t[rows], KU, ours=False)
+            moved = self.model.uv_points(other, theirs[rows], ours=False) - at.uv
+            reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
+        return UvPair(ours, np.where(known[:, None], reference, ours), bound)
+
+    def near(self, rows: Array | slice, prim: Array, t: Array) -> Intersections:
+        """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
+        ku, ours = self.answer.ku, not self.answer.as_exported
+        return intersections_at(self.view, prim, self.o[rows], self.d[rows], t, ku, ours=ours)
+
+    @cached_property
+    def reference_lines(self) -> tuple[Array, Array, Array]:
+        """o, d, t_max as Mitsuba traced them: (self.o, self.d, self.t_max), but for rays of a list."""
+        rays = self.pair.rays.for_reference()
+        return rays.o.astype(np.float64), rays.d.astype(np.float64), rays.t_max.astype(np.float64)
+
+    @property
+    def reference_t(self) -> Array:
+        """(n,) Mitsuba's t along `reference_lines`, where self.result.t counts from o."""
+        return self.result.answer.t.astype(np.float64)
+
+    @property
+    def n(self) -> Array | None:
+        """(n, 3) the subject's geometric normals, if it gives any."""
+        return aov_rows(self.subject, "normal") if self.answer.n is None and self.names_prims else self.answer.n
+
+    def sides(self, name: str) -> tuple[Array, Array]:
         """(the subject's, the reference's) values of one AOV, (n,) or (n, c)."""
         return aov_rows(self.subject, name), aov_rows(self.reference, name)
 
     def distance(self, name: str) -> Array:
         """(n,) between both sides, uv in the space of their kind, where seams and poles are no jumps."""
         uv = self.uv[:2] if name == "uv" and self.uv else None
-        sides = uv or (values.reshape(len(values), -1) for values in self.pair(name))
+        sides = uv or (values.reshape(len(values), -1) for values in self.sides(name))
         return row_distance(*sides)
 
     @cached_property
@@ -156,8 +221,8 @@ class PixelPairs:
         triangles, a pull onto the wall of a cylinder). Normals are unit vectors: one of another length, or reversed,
         differs by far more than any bound.
         """
-        at = self.bounds.at
-        depth = at.t_error * self.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
+        at = self.at
+        depth = at.t_error * self.pair.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
         found = {"depth": depth, "position": at.p_error, "normal": at.n_error, "shading_normal": at.sh_error}
         return found if self.uv is None else found | {"uv": self.uv.bound}
 
@@ -167,7 +232,7 @@ class PixelPairs:
 
         Where float64 does not resolve t, only the geometric normal is compared: the others follow from t.
         """
-        prim, own = self.answer.prim, self.bounds.own
+        prim, own = self.answer.prim, self.own
         if prim is None:
             return {}
         hit = prim >= 0
@@ -188,18 +253,17 @@ class PixelPairs:
     @property
     def both_hit(self) -> Array:
         """(n,) bool."""
-        return self.subject.hit.ravel() & self.reference.hit.ravel()
+        return self.hit & self.reference.hit.ravel()
 
 
 @without_float_warnings
-def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
+def check_ratios(pixels: Pixels) -> dict[str, Array]:
     """Error over bound of each check whose quantities are given, (n,) each; inf for another hit, shape or primitive."""
-    answer, own, both = pixels.answer, pixels.bounds.own, pixels.both_hit
+    answer, own, hit, both = pixels.answer, pixels.own, pixels.hit, pixels.both_hit
 
     def unequal(subject: Array, reference: Array) -> Array:
         return np.where(subject == reference, 0.0, np.inf)
 
-    hit = pixels.subject.hit.ravel()
     found = {"mask": unequal(hit, pixels.reference.hit.ravel())}
     # |t - t computed anew at the primitive|; inf if the ray misses it. All other bounds belong to this primitive: if it
     # were the wrong one, they would be worthless.
@@ -212,8 +276,8 @@ def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
         if answer.n is not None:
             found["normal"] = np.where(both, error_over_bound(row_distance(answer.n, own.n), own.n_error), 0.0)
         given = {"shape_id": answer.shape_id, "prim_id": answer.prim_id}
-        return found | {name: unequal(*pixels.pair(name)) for name, ids in given.items() if ids is not None}
-    found |= {"shape_id": unequal(*pixels.pair("shape_id")), "on_surface": on_surface}
+        return found | {name: unequal(*pixels.sides(name)) for name, ids in given.items() if ids is not None}
+    found |= {"shape_id": unequal(*pixels.sides("shape_id")), "on_surface": on_surface}
     for name, bound in pixels.allowed_distance.items():
         found[name] = np.where(both, error_over_bound(pixels.distance(name), bound), 0.0)
         if check := pixels.self_checks.get(name):
@@ -222,49 +286,39 @@ def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
     return found
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Error over bound of each check, (n,) each; at most 1 is within the bound, inf is beyond any bound."""
+def allowed_shares(checks: Mapping[str, Check]) -> dict[str, float]:
+    """The share of its bound that each check may use, if the scene sets one by [check.AOV].
 
-    ratios: Mapping[str, Array]
-    allowed: Mapping[str, float]  # share of the bound each may use; 1 unless set by the scene
-
-    @property
-    def agrees(self) -> Array:
-        """(n,) bool: no check finds more than it allows."""
-        return np.all([ratio <= self.allowed[name] for name, ratio in self.ratios.items()], axis=0)
-
-    @property
-    def derived(self) -> Array:
-        """(n,) bool: no check finds more than its derived bound."""
-        return np.all([ratio <= 1.0 for ratio in self.ratios.values()], axis=0)
-
-
-def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
-    """All checks. checks: the scene's own [check.AOV]; raises SceneError for one that has no effect."""
+    Raises SceneError for a [check.AOV] that has no effect.
+    """
     for name in checks:
         if name not in BOUNDED_AOVS:
             raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
-    ratios = check_ratios(pixels)
-    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
+    return {name: check.ratio for name, check in checks.items()}
 
 
 @without_float_warnings
-def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, Array]:
+def inconsistent_aovs(pixels: Pixels) -> dict[str, Array]:
     """Where the AOVs of a subject that names its primitives contradict its hits; (n,) bool, by check.
 
     No rounding excuses a number that is not finite on a hit, a value on a miss, or a depth, mask, primitive or albedo
     that does not follow from the hit.
     """
-    if pair.answer.prim is None:
+    scene, packed, pair, prim = pixels.scene, pixels.model.packed, pixels.pair, pixels.answer.prim
+    if prim is None:
         return {}
-    subject, hit = pair.subject, np.isfinite(pair.t)
-    found = {name: ~_fits_mask(subject, name, hit) for name in COMPARED_AOVS if name in subject}
+    subject, hit = pixels.subject, np.isfinite(pair.t)
+    found = {}
+    for name in COMPARED_AOVS:
+        if name in subject:
+            values = aov_rows(subject, name).reshape(len(hit), -1)
+            unfit = np.where(hit[:, None], ~np.isfinite(values), values != MISS_VALUES.get(name, 0))
+            found[name] = any_of_columns(unfit)
     depth = pair.rays.start + pair.t * pair.length  # from the eye, up to three roundings
     found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
     found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
     shape = aov_rows(subject, "shape_id")
-    prim_id = np.where(hit, pair.answer.prim - packed.first[np.maximum(shape, 0)], MISS_VALUES["prim_id"])
+    prim_id = np.where(hit, prim - packed.first[np.maximum(shape, 0)], MISS_VALUES["prim_id"])
     found["shape_id"] |= aov_rows(subject, "prim_id") != prim_id
     if "diffuse" not in subject:  # a Mitsuba file with lights or materials that the caster has not
         return found
@@ -277,9 +331,3 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
         at = ColoredPoints(shape, prim_id, *(aov_rows(subject, name) for name in ("uv", "position", "albedo")))
         found["diffuse"] |= color_ratios(textures, packed.parts, at, KU_OURS) > 1.0
     return found
-
-
-def _fits_mask(aovs: Aovs, name: str, hit: Array) -> Array:
-    values = aov_rows(aovs, name).reshape(len(hit), -1)
-    on_hit, on_miss = (all_of_columns(a) for a in (np.isfinite(values), values == MISS_VALUES.get(name, 0)))
-    return np.where(hit, on_hit, on_miss)

@@ -7,27 +7,13 @@ import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
-from mitsuba_ref.error_model.bounds import Bounds, aov_rows
+from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Array, Intersections, without_float_warnings
-from mitsuba_ref.error_model.lambert import (
-    LightChoices,
-    LightContribution,
-    Materials,
-    ShadingPoints,
-    smallest_error_ratio,
-)
+from mitsuba_ref.error_model.lambert import LightChoices, LightContribution, ShadingPoints, smallest_error_ratio
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.judge.comparison import ImagePair
-
-
-class DiffuseComparison(NamedTuple):
-    """One row a pixel; pixels that are not judged have ratio 0."""
-
-    ratio: Array  # (n,) difference over bound with Mitsuba's own shadows
-    explained: Array  # (n,) bool: other shadows that rounding allows both sides give our value
-    unresolvable: Array  # (n,) bool: Mitsuba's own value has no useful bound
+from mitsuba_ref.judge.comparison import ImagePair, Pixels
 
 
 class Lights(NamedTuple):
@@ -39,31 +25,33 @@ class Lights(NamedTuple):
     doubtful: Array  # (lights, m) bool: at such a grazing angle
 
 
-def judge_diffuse(
-    scene: Scene, pair: ImagePair, bounds: Bounds, rows: Array, brackets: tuple[Bracket, Bracket]
-) -> DiffuseComparison:
-    """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's."""
-    count = len(pair.t)
+def judge_diffuse(pixels: Pixels, rows: Array, brackets: tuple[Bracket, Bracket]) -> tuple[Array, Array, Array]:
+    """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's.
+
+    Returns (n,) each: the difference over its bound with Mitsuba's own shadows, 0 elsewhere; whether other shadows that
+    rounding allows both sides give our value; whether Mitsuba's own value has no useful bound.
+    """
+    scene, pair, count = pixels.scene, pixels.pair, len(pixels.hit)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
-    lights = _lights(scene, shading_points(pair, bounds.at, rows), KU)
+    lights = _lights(scene, hits_of(pixels, pixels.at, rows), KU)
     textures, reference_ratio = scene.textures, np.zeros(count)
     if any(textures):
         answer = pair.result.answer
         p, uv = (each[rows].astype(np.float64) for each in (answer.p, answer.uv))
         at = ColoredPoints(pair.result.shape_id[rows], answer.prim[rows], uv, p, answer.albedo[rows])
-        reference_ratio[rows] = color_ratios(textures, brackets[0].model.packed.parts, at, KU)
+        reference_ratio[rows] = color_ratios(textures, pixels.model.packed.parts, at, KU)
         pair = _for_our_albedo(scene, pair, rows, lights)
     given, no_doubt = _as_given(pair, lights, rows), np.zeros_like(lights.doubtful)
     ratio[rows] = _ratio(pair, rows, LightChoices(*given, *given, no_doubt))
     ratio = np.maximum(ratio, reference_ratio)
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
-        hit = shading_points(pair, bounds.at, beyond)
+        hit = hits_of(pixels, pixels.at, beyond)
         lights = _lights(scene, hit, KU)
         explained[beyond] = _ratio(pair, beyond, _choices(scene, pair, lights, hit, beyond, brackets)) <= 1.0
         explained &= reference_ratio <= 1.0
         unresolvable[beyond] = ~np.isfinite(lights.error).all(axis=(0, 2))
-    return DiffuseComparison(ratio, explained, unresolvable)
+    return ratio, explained, unresolvable
 
 
 def diffuse_within_float64(scene: Scene, hit: ShadingPoints, prim: Array, values: Array, bracket: Bracket) -> Array:
@@ -80,24 +68,23 @@ def diffuse_within_float64(scene: Scene, hit: ShadingPoints, prim: Array, values
     first, error = (np.where(lit[..., None], each, 0.0) for each in (lights.radiance, lights.error))
     dark = np.zeros_like(first)
     choices = LightChoices(first, error, dark, dark, lit & (shaded | lights.doubtful))
-    ambient = lambert.reflectance_at(materials_of(scene), hit) * lambert.ambient_radiance(scene.lights)
+    ambient = hit.reflectance * lambert.ambient_radiance(scene.lights)
     return smallest_error_ratio(values, ambient, choices, KU_OURS) <= 1.0
 
 
-def shading_points(pair: ImagePair, at: Intersections, rows: Array) -> ShadingPoints:
+def hits_of(pixels: Pixels, at: Intersections, rows: Array) -> ShadingPoints:
     """Our hits at some pixels, with the bounds `at`."""
-    d = pair.rays.d[rows].astype(np.float64)
-    p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
-    shape, albedo = (aov_rows(pair.subject, name)[rows] for name in ("shape_id", "albedo"))
-    return ShadingPoints(p, d, shape, at.take(rows), albedo)
+    shape, albedo = (aov_rows(pixels.subject, name)[rows] for name in ("shape_id", "albedo"))
+    return shading_points(pixels.scene, pixels.point[rows], pixels.d[rows], at.take(rows), shape, albedo)
 
 
-def materials_of(scene: Scene) -> Materials:
-    """The material of each shape, as arrays."""
-    found = [scene.material_of(shape) for shape in scene.shapes]
-    nothing = (np.nan,) * 3
-    reflectance = np.array([nothing if material.texture else material.color for material in found]).reshape(-1, 3)
-    return Materials(reflectance, np.array([material.two_sided for material in found], bool))
+def shading_points(scene: Scene, p: Array, d: Array, at: Intersections, shape: Array, albedo: Array) -> ShadingPoints:
+    """Hits on shapes (m,). albedo: (m, 3) the subject's, which is used where a texture decides it."""
+    materials = [scene.material_of(each) for each in scene.shapes]
+    textured = np.array([each.texture is not None for each in materials], bool)[shape, None]
+    colors = np.array([each.color for each in materials]).reshape(-1, 3)[shape]
+    two_sided = np.array([each.two_sided for each in materials], bool)[shape]
+    return ShadingPoints(p, d, at, np.where(textured, albedo, colors), two_sided)
 
 
 @without_float_warnings
@@ -117,9 +104,8 @@ def _for_our_albedo(scene: Scene, pair: ImagePair, rows: Array, lights: Lights) 
 
 
 def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
-    materials = materials_of(scene)
-    each = [lambert.light_contribution(materials, light, hit, ku) for light in scene.lights if light.type != "ambient"]
-    shape = len(each), len(hit.shape)
+    each = [lambert.light_contribution(light, hit, ku) for light in scene.lights if light.type != "ambient"]
+    shape = len(each), len(hit.p)
     doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
     radiance, error = (
         np.array([getattr(light, name) for light in each]).reshape(*shape, 3) for name in ("radiance", "error")

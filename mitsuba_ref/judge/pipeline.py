@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 from caster.geometry.packing import forget_packed
@@ -10,14 +9,12 @@ from caster.geometry.world_space import as_given
 from caster.scene.model import Scene
 from caster.system.terminal import report_stage
 from mitsuba_ref.judge.aggregate import (
-    NEVER_GIVEN,
     class_counts,
     defect_counts,
     failing_by_check,
     failure_at,
     findings,
     kind_counts,
-    largest_ratios,
     listed_failures,
     merge_windows,
     quantities_not_given,
@@ -26,10 +23,10 @@ from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Scope, checks_of, ma
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
 from mitsuba_ref.judge.checks.bias import kind_biases
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
-from mitsuba_ref.judge.checks.ray_conventions import cast_further
+from mitsuba_ref.judge.checks.ray_conventions import further_rays
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
-from mitsuba_ref.judge.diagnosis import CastRays, Diagnosis, diagnose
-from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict, kinds_text
+from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
+from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.originals import original_of
@@ -57,8 +54,10 @@ class Task(NamedTuple):
         return self.subject is OURS
 
     def windows(self) -> list[Scene]:
-        """The scene with each window that is judged separately; a command renders the whole film at once."""
-        return bands_of(self.scene) if self.subject.takes_rays and self.rays is None else [self.scene]
+        """The scene with each band of rows that is judged separately; a command renders the whole film at once."""
+        x0, y0, x1, y1 = self.scene.film.window
+        in_bands = (x1 - x0) * (y1 - y0) > LARGEST_WHOLE_FILM and self.subject.takes_rays and self.rays is None
+        return list(self.scene.bands(BAND_PIXELS)) if in_bands else [self.scene]
 
 
 class Seen(NamedTuple):
@@ -82,47 +81,28 @@ LARGE_SCENE = 1 << 20  # primitives; packing such a scene again costs less than 
 Finish = Callable[[SceneVerdict, str], SceneVerdict]
 
 
-def bands_of(scene: Scene) -> list[Scene]:
-    """The scene with each band of whole rows of its film; the scene itself if its film is small."""
-    x0, y0, x1, y1 = scene.film.window
-    if (x1 - x0) * (y1 - y0) <= LARGEST_WHOLE_FILM:
-        return [scene]
-    return list(scene.bands(BAND_PIXELS))
-
-
 def judge_film(task: Task, finish: Finish) -> SceneVerdict:
     """The verdict of all bands, with the evidence of the one with most failures, or else of the middle one."""
     bands = task.windows()
+    if len(bands) == 1:
+        return finish(judge_window(task), task.name)
     verdicts: list[SceneVerdict] = []
     best, shown, seen = (-1, False, False), 0, None
+    notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
     for number, band in enumerate(bands):
-        middle, rows = number == len(bands) // 2, _rows(band)
-        found = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=len(bands) == 1)
-        found = finish(found, task.name if len(bands) == 1 else f"{task.name}.rows-{rows[0]:05}-{rows[1]:05}")
+        middle, (_, first, _, end) = number == len(bands) // 2, band.film.window
+        found = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=False)
+        found = finish(found, f"{task.name}.rows-{first:05}-{end - 1:05}")
         rank = found.failing, not found.checks_pass, middle
         if rank > best:
             best, shown, seen = rank, number, found.seen
         verdicts.append(replace(found, seen=None))
         if found.problem:
+            verdicts[-1] = replace(verdicts[-1], problem=f"rows {first} to {end - 1}: {found.problem}")
             break
-    return _merged(bands, verdicts, shown, seen) if len(bands) > 1 else replace(verdicts[0], seen=seen)
-
-
-def _rows(band: Scene) -> tuple[int, int]:
-    """The first and the last row of a window."""
-    _, first, _, end = band.film.window
-    return first, end - 1
-
-
-def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, seen: Seen | None) -> SceneVerdict:
-    """The verdict of a film in bands; that of the shown band comes first."""
-    if verdicts[-1].problem:
-        first, end = _rows(bands[len(verdicts) - 1])
-        verdicts[-1] = replace(verdicts[-1], problem=f"rows {first} to {end}: {verdicts[-1].problem}")
-    notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
     if seen is not None:
-        first, end = _rows(bands[shown])
-        notes.append(f"pixels of the report: rows {first} to {end}")
+        _, first, _, end = bands[shown].film.window
+        notes.append(f"pixels of the report: rows {first} to {end - 1}")
     merged = merge_windows([verdicts[shown], *verdicts[:shown], *verdicts[shown + 1 :]])
     return replace(merged, seen=seen, notes=(*notes, *merged.notes))
 
@@ -137,14 +117,12 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
     """
     scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
     whose = OUR_CHECKS if task.ours else CANDIDATE
-    original, secondary = original_of(task.scene), task.bounce is not None
+    original = original_of(task.scene)
     camera = task.rays is None and (original is None or original.exact_camera)
-    checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera, secondary=secondary)
+    checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera, secondary=task.bounce is not None)
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
-    inputs |= {"send": task.send, "timeout": task.timeout}
-    if task.bounce:
-        inputs["bounce"] = task.bounce.bounce
+    inputs |= {"send": task.send, "timeout": task.timeout, "bounce": task.bounce and task.bounce.bounce}
     made = make_checks(of_scene, inputs) if task.ours else ()
     if whole_film:  # the rest is in float32; for ten million triangles, both packings take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)
@@ -154,11 +132,11 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
     try:
         response = request_answer(task.subject, task.scene, rays=task.rays)
     except NoAnswer as error:
-        return _no_comparison(task, made, str(error), isinstance(error, Unsupported))
+        return _verdict_of(task, made, problem=str(error), unsupported=isinstance(error, Unsupported))
     report_stage("asking Mitsuba")
     judge = judge_of(response, timeout=task.timeout, send=task.send, with_files=whole_scene)
     if isinstance(judge, Crash):
-        return _no_comparison(task, made, judge.message)
+        return _verdict_of(task, made, problem=judge.message)
 
     # Compare, adjudicate, classify; then find the causes of failing pixels.
     report_stage("judging")
@@ -182,33 +160,22 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
     return replace(_verdict(task, response, seen, made), biases=inputs["biases"])
 
 
-def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
-    """How a diagnosis casts further rays by a candidate; None if it takes none, and for ours."""
-    return partial(cast_further, subject, scene) if subject.takes_rays and subject is not OURS else None
-
-
-def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, unsupported: bool = False) -> SceneVerdict:
-    return _verdict_of(
-        task, checks, problem=problem, unsupported=unsupported, unjudged=() if task.ours else NEVER_GIVEN
-    )
-
-
 def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
     judge, judgement, diagnosis, _ = seen
     pair, answer = judge.pair, judge.answer
     kinds = kind_counts(judgement, task.bounce) if task.bounce else {}
-    by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
+    by_check, by_row, agreeing = failing_by_check(judgement), diagnosis.by_row(), judgement.is_class(AGREE)
     return _verdict_of(
         task,
         checks,
         hit_pixels=int(pair.any_hit.sum()),
         counts=class_counts(judgement, pair.any_hit),
         kinds=kinds,
-        ratios=largest_ratios(judgement),
+        ratios={name: float(ratio[agreeing].max(initial=0.0)) for name, ratio in judgement.ratios.items()},
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
         reference_stored=pair.result.answer.stored,
-        allowed={name: check.ratio for name, check in task.scene.checks.items()} if task.ours else {},
+        allowed=judgement.allowed,
         adjudicated=len(judgement.exact.rows),
         not_adjudicated=len(judgement.not_adjudicated),
         cases=defect_counts(judgement),
@@ -245,8 +212,12 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
 
 
 def _notes_on_bounce(film: BounceFilm, kinds: dict[str, dict[str, int]]) -> Iterator[str]:
-    """The rays of each kind, and how many are not judged."""
-    yield f"rays: {kinds_text(kinds)}"
+    """The rays of each kind, such as "120 reflected (2 explained), 80 shadow", and how many are not judged."""
+    words = []
+    for kind, counts in kinds.items():
+        others = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if name != AGREE)
+        words.append(f"{sum(counts.values())} {kind}{f' ({others})' if others else ''}")
+    yield f"rays: {', '.join(words)}"
     for why, count in film.bounce.left_out.items():
         yield f"{NOT_JUDGED}: {count} rays {why}, whose way depends on rounding"
 

@@ -40,15 +40,6 @@ def as_json(result: Any) -> dict[str, Any]:
     return dict(TypeAdapter(type(result)).dump_python(result, mode="json"))
 
 
-def kinds_text(kinds: dict[str, dict[str, int]]) -> str:
-    """Secondary rays of each kind, and those that do not agree: 120 reflected (2 explained), 80 shadow."""
-    words = []
-    for kind, counts in kinds.items():
-        others = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if name != AGREE)
-        words.append(f"{sum(counts.values())} {kind}{f' ({others})' if others else ''}")
-    return ", ".join(words)
-
-
 JsonFloat = Annotated[
     float,
     PlainSerializer(json_number, return_type=float | str, when_used="json"),

@@ -12,6 +12,7 @@ from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.adjudication import named_prims
+from mitsuba_ref.judge.checks.ray_conventions import further_rays
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import (
@@ -23,7 +24,7 @@ from mitsuba_ref.judge.explanations import (
     pixel_answers,
     tie_members,
 )
-from mitsuba_ref.judge.pipeline import Task, further_rays
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED, UNLISTED, WRONG
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.verdict import CandidatePixel, PathRay, PixelVerdict, PossibleHit

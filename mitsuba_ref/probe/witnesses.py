@@ -11,7 +11,8 @@ from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
 from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
-from mitsuba_ref.judge.classification import EXACT, Judge, reference_prims
+from mitsuba_ref.judge.classification import EXACT, Judge
+from mitsuba_ref.judge.comparison import reference_prims
 from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants

@@ -80,11 +80,11 @@ def compare_scene(pythons: Sequence[str], task: Task) -> SceneComparison:
 
     def collect(verdict: SceneVerdict, images: str) -> SceneVerdict:
         if isinstance(verdict.seen, Seen):
-            judge, uv = verdict.seen.judge, verdict.seen.judge.pixels.uv
+            judge, uv = verdict.seen.judge, verdict.seen.judge.uv
             assert uv is not None  # our caster gives it
             windows.append({HIT: judge.reference_prim, AGREE: verdict.seen.judgement.is_class(AGREE)})
             for name in QUANTITIES:
-                sides = uv[:2] if name == "uv" else judge.pixels.pair(name)
+                sides = uv[:2] if name == "uv" else judge.sides(name)
                 windows[-1][name] = np.stack([values.reshape(len(judge.hit), -1) for values in sides], axis=1)
         return verdict
 

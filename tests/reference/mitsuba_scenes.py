@@ -1,10 +1,12 @@
 """Scenes in Mitsuba's own XML, and rays through them, for the tests that ask Mitsuba."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ply_files import ply_mesh
 
+import caster
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
@@ -20,6 +22,14 @@ DIFFUSE = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5 0.25 0.75"/><
 def scene_judge(scene: Scene, subject: Subject = OURS, send: SendRequest = send_request) -> Judge | Crash:
     """The judge of a subject in the film's window."""
     return judge_of(request_answer(subject, scene), send=send)
+
+
+def lit_scene(*shapes: Any, **more: Any) -> Scene:
+    """Shapes around the origin, seen by a small film, with one light unless others are given."""
+    lamp = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
+    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
+    usual = {"film": caster.Film(width=36, height=24), "camera": camera, "lights": [lamp]}
+    return Scene(**(usual | more), shapes=shapes)
 
 
 def write(folder: Path, content: str, name: str = "scene.xml") -> Path:

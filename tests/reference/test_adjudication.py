@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from edited_tree import ROOT, run
-from mitsuba_scenes import scene_judge
+from mitsuba_scenes import lit_scene, scene_judge
 from places import shipped
 
 import caster
@@ -33,14 +33,7 @@ from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.subject import cast_ours
 
-LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
 TURN = [{"rotate": {"axis": [1, 2, 3], "degrees": 37}}]
-
-
-def scene_of(*shapes: Any, **more: Any) -> Scene:
-    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
-    usual = {"film": caster.Film(width=36, height=24), "camera": camera, "lights": [LAMP]}
-    return Scene(**(usual | more), shapes=shapes)
 
 
 # A skinny triangle nearly edge-on, which the ray misses. Mitsuba hits it, with operations fused or not, and 180 lengths
@@ -63,7 +56,7 @@ def starting_on_a_disk() -> Scene:
     """Rays start in a window, some of them on a disk that lies in it: Mitsuba reports a hit at t = 0 for these."""
     camera = caster.Orthographic(eye=(0, 0, 3), direction=(0, 0, -1), width=4)
     small = caster.Disk(name="start", to_world=[{"scale": [0.4, 0.4, 1]}, {"translate": [0.4, 0.1, 3]}])
-    return scene_of(small, caster.Plane(name="floor", normal=(0.1, 0, 1), offset=0), camera=camera)
+    return lit_scene(small, caster.Plane(name="floor", normal=(0.1, 0, 1), offset=0), camera=camera)
 
 
 # ---- tie ----
@@ -96,7 +89,7 @@ MATERIALS = {"a": {"reflectance": (0.9, 0.1, 0.1)}}
 @pytest.mark.parametrize("shapes", COINCIDENT.values(), ids=COINCIDENT)
 @pytest.mark.slow("each judges a film twice", keep=1)
 def test_of_coincident_surfaces_either_may_be_the_one(send, shapes):
-    scene = scene_of(*shapes, materials=MATERIALS)
+    scene = lit_scene(*shapes, materials=MATERIALS)
     for missing, verdict in (("a", "tie"), ("b", "agree")):  # ours names a, the first
         found = validate_scene(scene, "scene", send=without(send, missing))
         assert found.ok and found.counts[verdict] == found.hit_pixels >= 200, found.counts
@@ -104,7 +97,7 @@ def test_of_coincident_surfaces_either_may_be_the_one(send, shapes):
 
 
 def test_a_tie_has_to_be_right_by_float64_all_the_same(send):
-    judge = scene_judge(scene_of(*COINCIDENT["balls"], materials=MATERIALS), send=without(send, "a"))
+    judge = scene_judge(lit_scene(*COINCIDENT["balls"], materials=MATERIALS), send=without(send, "a"))
     before = judge.judge()
     tied = before.is_class("tie")
     aov_rows(judge.pair.subject, "diffuse")[tied] += 0.1
@@ -128,7 +121,7 @@ def test_a_ray_that_starts_on_a_surface_does_not_hit_it_there(judged):
 def test_a_reference_that_is_wrong_everywhere_is_no_evidence(judged):
     camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
     floor = caster.Plane(normal=(0, 1, 0), offset=0)
-    found = judged(scene_of(floor, caster.Sphere(center=(0, 1, 0)), camera=camera))
+    found = judged(lit_scene(floor, caster.Sphere(center=(0, 1, 0)), camera=camera))
     assert not found.ok and found.counts["reference_wrong"] > 800 and found.failing == 0
     assert "the reference is wrong at 864 pixels and right at 0, so it is no evidence about ours here" in failure_text(
         found
@@ -159,14 +152,11 @@ EXPORTS = {
 }
 
 
-def test_what_the_exporter_writes_is_right(judged):
-    assert judged(scene_of(WALL, BALL, LID)).ok
-
-
 @pytest.mark.parametrize("what", EXPORTS)
 def test_a_broken_exporter_is_no_defect_of_mitsuba(judged, monkeypatch, what):
     """Ours is right and the reference is wrong in a minority of the pixels, but by no known defect."""
-    scene = scene_of(WALL, BALL, LID)
+    scene = lit_scene(WALL, BALL, LID)
+    assert judged(scene).ok
     shape, change = EXPORTS[what]
     altered_export(monkeypatch, shape, change)
     found = judged(scene)
@@ -216,7 +206,7 @@ RIM = caster.Ray(origin=(1, 0, 3), direction=(0, 0, -1))
 
 def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypatch):
     """Float32 may miss the rim as well as hit it, and the bracket of float64 allows a miss, too."""
-    scene = scene_of(caster.Disk(), camera=RIM, film=caster.Film(width=1, height=1), lights=[])
+    scene = lit_scene(caster.Disk(), camera=RIM, film=caster.Film(width=1, height=1), lights=[])
     right = probe_with_evidence(scene, 0, 0)[0]
     assert right.ok and right.exact["ties"] == [{"shape": "shape-0", "prim": 0, "where": "rim"}]
 
@@ -269,7 +259,7 @@ def test_what_cannot_be_decided_is_undecided(cube, monkeypatch):
 
 
 def test_edges_disputes_and_a_sample_are_requested(brought):
-    scene = scene_of(BALL, LID, film=caster.Film(width=90, height=60))
+    scene = lit_scene(BALL, LID, film=caster.Film(width=90, height=60))
     judge = brought(scene)
     found = judge.judge()
     hit = judge.pair.prim >= 0
@@ -281,9 +271,9 @@ def test_edges_disputes_and_a_sample_are_requested(brought):
             beside |= image[dy : dy + 60, dx : dx + 90]
     border = beside.ravel() & ~hit
     assert border.sum() >= 100 and asked[border].all()
-    assert asked[hit & ~judge.bounds.at.certain].all()
+    assert asked[hit & ~judge.at.certain].all()
     assert found.exact.answered.all() and found.exact.right.all()
-    rest = asked & ~border & judge.bounds.at.certain & hit
+    rest = asked & ~border & judge.at.certain & hit
     assert AGREEING_PIXELS_ADJUDICATED * 0.1 < rest.sum() <= AGREEING_PIXELS_ADJUDICATED
 
 

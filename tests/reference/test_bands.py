@@ -7,7 +7,7 @@ from places import shipped
 
 import caster
 from mitsuba_ref.judge import classification, pipeline
-from mitsuba_ref.judge.pipeline import bands_of
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.report.validation import validate_scene
@@ -35,7 +35,7 @@ def scene(name: str) -> caster.Scene:
 def test_bands_are_whole_rows_that_make_up_the_window(small_bands, window):
     small_bands(True)
     whole = scene("one-sphere").with_film(crop=window)
-    bands = [band.film.window for band in bands_of(whole)]
+    bands = [band.film.window for band in Task(whole, "").windows()]
     assert [y for _, first, _, end in bands for y in range(first, end)] == list(range(window[1], window[3]))
     assert {(x0, x1) for x0, _, x1, _ in bands} == {(window[0], window[2])}
     assert all((x1 - x0) * (y1 - y0) <= BAND for x0, y0, x1, y1 in bands)
@@ -45,7 +45,7 @@ def test_bands_are_whole_rows_that_make_up_the_window(small_bands, window):
 def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monkeypatch):
     small_bands(True)
     monkeypatch.setattr(pipeline, "BAND_PIXELS", 10)
-    assert len(bands_of(scene("one-sphere"))) == SIZE[1]
+    assert len(Task(scene("one-sphere"), "").windows()) == SIZE[1]
 
 
 # Triangles with shared edges, a plane whose stand-in depends on the rays, a crop, a near plane, quadrics and lights.

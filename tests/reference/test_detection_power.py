@@ -24,7 +24,7 @@ from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, U32
 from mitsuba_ref.judge.checks.bias import check_bias, kind_biases
 from mitsuba_ref.judge.classification import Judge
-from mitsuba_ref.judge.comparison import compare, pair_images
+from mitsuba_ref.judge.comparison import check_ratios, pair_images
 from mitsuba_ref.judge.verdict import KindBias
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest
@@ -92,7 +92,7 @@ class Asked:
 
 def beyond(judge: Judge) -> np.ndarray:
     """(hits,) bool: whether t is beyond its bound, where both hit."""
-    found: np.ndarray = compare(judge.pixels, {}).ratios["depth"][judge.pixels.both_hit] > 1.0
+    found: np.ndarray = check_ratios(judge)["depth"][judge.both_hit] > 1.0
     return found
 
 

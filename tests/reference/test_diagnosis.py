@@ -69,7 +69,7 @@ def uneven(count: int) -> np.ndarray:
 
 def some_hits(judge: Judge, share: int = 3) -> np.ndarray:
     chosen = np.random.default_rng(12).integers(share, size=WIDTH * HEIGHT) == 0
-    return np.flatnonzero(judge.result.hit & chosen & judge.bounds.at.certain)
+    return np.flatnonzero(judge.result.hit & chosen & judge.at.certain)
 
 
 @pytest.mark.parametrize(("sign", "word"), [(1.0, "behind"), (-1.0, "before")])
@@ -140,7 +140,7 @@ def where(judge: Judge, judgement, rows: np.ndarray) -> str:
 
 FEATURES = {
     "t is": lambda judge: judge.answer.t,
-    "the cosine of ray and normal is": lambda judge: np.abs((judge.bounds.own.n * judge.d).sum(1)),
+    "the cosine of ray and normal is": lambda judge: np.abs((judge.own.n * judge.d).sum(1)),
     "the pixel's x is": lambda judge: np.arange(WIDTH * HEIGHT) % WIDTH,
     "the pixel's y is": lambda judge: np.arange(WIDTH * HEIGHT) // WIDTH,
 }
@@ -168,7 +168,7 @@ PROPERTIES = {
     "ball is hit": lambda judge: shape_of(judge) == 1,
     "room is not hit": lambda judge: shape_of(judge) != 0,
     "ball is not hit": lambda judge: shape_of(judge) != 1,
-    "the surface is not seen from behind": lambda judge: (judge.bounds.own.n * judge.d).sum(1) < 0.0,
+    "the surface is not seen from behind": lambda judge: (judge.own.n * judge.d).sum(1) < 0.0,
 }
 
 

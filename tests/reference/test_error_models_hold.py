@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, a_tube, decades, rays_at, scene_of
 
-from caster.geometry.packing import pack
-from caster.geometry.world_space import as_float32
 from caster.shapes import Triangle
 from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
@@ -21,7 +19,7 @@ from mitsuba_ref.error_model.tolerances import KU, KU_OURS, K
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.shared_input import SharedRays, model_of
+from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 
 
@@ -43,8 +41,8 @@ def observe(kind: str, setting: Setting, seed: list[int], *, shapes: int, count:
     rng = np.random.default_rng(seed)
     scene = scene_of(kind, rng, setting, shapes)
     o, d = rays_at(scene, rng, setting, count)
-    rays = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
-    model = model_of(scene, pack(scene, as_float32), rays)
+    rays = endless_rays(o, d)
+    model = model_of(scene, packed_float32(scene), rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     return compared(model, witness, o, d)
@@ -157,8 +155,8 @@ def test_a_triangle_is_unresolved_where_the_rounding_of_its_corners_turns_it_rou
     *corners, o, d = np.array([float.fromhex(word) for word in numbers.split()]).reshape(5, 3)
     scene = scene_of("triangles", np.random.default_rng(0), Setting(), 1)
     scene = scene.model_copy(update={"shapes": (Triangle(vertices=corners),)})
-    rays = SharedRays(*(np.array([row], np.float32) for row in (o, d, np.inf)), np.zeros(1))
-    model = model_of(scene, pack(scene, as_float32), rays)
+    rays = endless_rays(o[None], d[None])
+    model = model_of(scene, packed_float32(scene), rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     found = compared(model, witness, o[None], d[None])
@@ -173,7 +171,7 @@ def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(send):
     settings = [Setting(size=size, thin=10.0 ** rng.uniform(-2.0, 0.0)) for size in sizes]
     shapes = [a_tube(rng, setting, np.zeros(3)) for setting in settings]
     scene = scene_of("cylinders", rng, Setting(), 1).model_copy(update={"shapes": tuple(shapes)})
-    packed = pack(scene, as_float32)
+    packed = packed_float32(scene)
     native = sum(mitsuba_accepts_matrix(part.to_world[0]) for part in packed.parts)
     assert 100 <= native <= 250
     away = np.full((1, 3), 1e6, np.float32)

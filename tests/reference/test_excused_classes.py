@@ -1,29 +1,19 @@
 """The classes explained and out_of_domain excuse rounding and nothing else."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+from mitsuba_scenes import lit_scene
 from places import SCENES
 
 import caster
 from caster.rendering.hits import RayHits
 from caster.scene.files import load_scene
-from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import reason
 from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
-
-LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
-
-
-def scene_of(*shapes: Any, **more: Any) -> Scene:
-    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
-    usual = {"film": caster.Film(width=48, height=32), "camera": camera, "lights": [LAMP]}
-    return Scene(**(usual | more), shapes=shapes)
 
 
 @pytest.fixture(scope="module")
@@ -39,20 +29,19 @@ def first(shaded) -> Judgement:
 
 
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
-@pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
-@pytest.mark.slow("each judges a scene", keep=4)
-def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name, change):
+@pytest.mark.slow("each judges a scene", keep=2)
+def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name):
     before, excused = (first.classes, first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.pair.subject.hit.ravel())
     assert 50 <= excused.sum() < len(excused) // 10
     image = aov_rows(shaded.pair.subject, name)
     kept = image.copy()
-    image[excused] = change(image[excused])
+    image[excused] = 1.5 * image[excused] + 0.1
     try:
         after = Judge(shaded.scene, shaded.model, shaded.pair).judge()
     finally:
         image[:] = kept
-    contradicts = name == "depth" or not np.isfinite(change(1.0))  # our own hit, whatever exact arithmetic says
-    assert np.all(after.is_class("undecided" if contradicts else "wrong")[excused])
+    # A depth contradicts our own hit, whatever exact arithmetic says.
+    assert np.all(after.is_class("undecided" if name == "depth" else "wrong")[excused])
     assert np.array_equal(after.classes[~excused], before[~excused])
 
 
@@ -60,7 +49,7 @@ def test_more_excuses_than_evidence_do_not_pass(judged):
     """Every ray meets the rim of a ball, exactly: float32 may miss it."""
     wall = caster.Disk(to_world=[{"translate": [0.0, 1.0, 0.0]}])
     camera = caster.Orthographic(eye=(0, 0, 3), direction=(0, 0, -1), width=2.0**-40)
-    found = judged(scene_of(wall, camera=camera))
+    found = judged(lit_scene(wall, camera=camera))
     assert not found.ok and found.failing == 0 and found.counts["reference_wrong"] == 0
     assert found.counts[EXPLAINED] >= found.evidence
     told = f"too little evidence: {found.evidence} pixels agree or tie, {found.excused} are only excused"
@@ -71,7 +60,7 @@ def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(jud
     """Rays lie in the plane up to rounding: intersections with it are undefined. The ball is judged as usual."""
     shapes = (caster.Sphere(), caster.Plane(normal=(0, 0.6, 0.8), offset=0))
     camera = caster.Orthographic(eye=(0, -4, 3), direction=(0, 0.8, -0.6), up=(0, 0, 1), width=1.5)
-    scene = scene_of(*shapes, camera=camera)
+    scene = lit_scene(*shapes, camera=camera)
     assert judged(scene).ok
     evaluate = RayHits.evaluate
 
@@ -91,7 +80,7 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
     roof = caster.Rectangle(
         to_world=[{"rotate": {"axis": [1, 0, 0], "degrees": -90}}, {"translate": [0.125, 1, 0.125]}]
     )
-    scene = scene_of(
+    scene = lit_scene(
         caster.Plane(normal=(0, 1, 0), offset=0),
         roof,
         camera=caster.Orthographic(eye=(0, 5, 0), look_at=(0, 0, 0), up=(0, 0, 1), width=8),
@@ -107,19 +96,19 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
 
 @pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "uv", "diffuse"])
 def test_a_scene_may_request_less_than_the_derived_bound(judged, name):
-    strict = scene_of(caster.Sphere(), checks={name: {"ratio": 1e-6}})
+    strict = lit_scene(caster.Sphere(), checks={name: {"ratio": 1e-6}})
     found = judged(strict)
     assert not found.ok and found.counts["undecided"] > 100
     assert f"beyond the share of the bound that [check.{name}] allows" in failure_text(found)
-    lax = judged(scene_of(caster.Sphere(), checks={name: {"ratio": 2.0}}))
+    lax = judged(lit_scene(caster.Sphere(), checks={name: {"ratio": 2.0}}))
     assert lax.ok and lax.allowed == {name: 2.0}
 
 
 def test_a_check_that_nothing_would_heed_is_refused(judged):
     with pytest.raises(caster.SceneError, match=r"check.shape_id: shape_id has no bound to scale"):
-        judged(scene_of(caster.Sphere(), checks={"shape_id": {"ratio": 0.1}}))
+        judged(lit_scene(caster.Sphere(), checks={"shape_id": {"ratio": 0.1}}))
 
 
 @pytest.mark.parametrize("name", ["$x", "a$", "ball & chain", "<ball>", "a.b", "Kugel, groß"])
 def test_a_shape_may_be_called_what_it_likes(judged, name):
-    assert judged(scene_of(caster.Sphere(name=name))).ok
+    assert judged(lit_scene(caster.Sphere(name=name))).ok

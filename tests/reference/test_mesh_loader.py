@@ -15,7 +15,6 @@ from mitsuba_ref.reference.messages import LoadedMesh
 POINTS = [(0.1, 0, 0), (1, 0.2, 0), (1, 1, 0.3), (0, 1, 0), (2.7, 0.5, 0.5), (3.1, 2, 0), (0.5, 3.3, 1)]
 POLYGONS = [(0, 1, 2, 3), (1, 4, 2), (2, 4, 5, 6, 3)]
 TRIANGLES = [(0, 1, 2), (0, 2, 3), (1, 4, 2), (2, 4, 5), (2, 5, 6), (2, 6, 3)]
-CORNERS = np.array(POINTS, float)[np.array(TRIANGLES)]
 NORMALS = [(0.36, 0.48, 0.8), (0, 0, 1), (0.6, 0, 0.8), (0, 1, 0), (1, 0, 0), (0, 0.6, 0.8), (0.8, 0.6, 0)]
 
 
@@ -101,11 +100,6 @@ def test_a_mesh_from_arrays_is_judged_without_a_file(tmp_path):
     assert verdict.ok and verdict.counts["agree"] > 50, verdict
 
 
-def split(mesh):
-    every = mesh.vertices[mesh.faces].reshape(-1, 3)
-    return mesh._replace(vertices=every, faces=np.arange(len(every), dtype=np.int32).reshape(-1, 3))
-
-
 def moved(rows, step):
     """Change one number by more than float32 rounding."""
     rows = rows.copy()
@@ -113,12 +107,10 @@ def moved(rows, step):
     return rows
 
 
-WRONG = {  # file, the least that a reader may do wrong with each kind of number, and where it shows
-    "a face less": ("obj", lambda m: m._replace(faces=m.faces[:-1]), "corners"),
+# File, the least that a reader may do wrong with a number, and where it shows; tests/faults/readers.toml has more
+WRONG = {
     "a number off": ("ply, big", lambda m: m._replace(vertices=moved(m.vertices, 2.0**-22)), "corners"),
-    "vertices split": ("ply", split, "shared vertices"),
     "normals off": ("obj, smooth", lambda m: m._replace(normals=moved(m.normals, 2.0**-19)), "normals"),
-    "normals left out": ("ply, little", lambda m: m._replace(normals=None), "normals or none"),
     "normals made up": ("ply", lambda m: m._replace(normals=np.tile([0.0, 0.6, 0.8], (7, 1))), "normals or none"),
     "uv off": ("obj, smooth", lambda m: m._replace(uv=moved(m.uv, 2.0**-19)), "uv"),
     "uv left out": ("obj, smooth", lambda m: m._replace(uv=None), "uv or none"),

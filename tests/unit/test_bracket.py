@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, EllipsoidCloud, Icosphere, Plane, Sphere, Triangle
@@ -21,7 +20,7 @@ from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.intersections import Intersections, Rays, unit
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
-from mitsuba_ref.reference.shared_input import SharedRays, model_of
+from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = -UP
@@ -33,9 +32,7 @@ RIGHT, LEFT = Triangle(name="right", vertices=(A, B, C)), Triangle(name="left", 
 def modelled(shapes: list[Any], o: Any, d: Any) -> SceneModel:
     camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
     scene = Scene(camera=camera, shapes=shapes)
-    o, d = (np.atleast_2d(np.asarray(v, np.float32)) for v in (o, d))
-    rays = SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
-    return model_of(scene, pack(scene, as_float32), rays)
+    return model_of(scene, packed_float32(scene), endless_rays(np.atleast_2d(o), np.atleast_2d(d)))
 
 
 def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket:
@@ -43,13 +40,22 @@ def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket
 
 
 def judged(
-    shapes: list[Any], o: Any, d: Any, t: float, shape: int, n: Any = UP, *, t_max: float = np.inf, ours: bool = False
+    shapes: list[Any],
+    o: Any,
+    d: Any,
+    t: float,
+    shape: int,
+    n: Any = UP,
+    *,
+    t_min: float = 0.0,
+    t_max: float = np.inf,
+    ours: bool = False,
 ) -> BracketResult:
     """One ray, one claim; the claimed point follows from t."""
     o, d, n = (np.asarray(v, float)[None] for v in (o, d, n))
     p = o + (t if np.isfinite(t) else 0.0) * d
     claims = Claims(np.array([t]), np.array([shape]), n, n, p)
-    return bracket(shapes, o, d, ours=ours).judge(o, d, np.array([t_max]), claims)
+    return bracket(shapes, o, d, ours=ours).judge(o, d, np.array([t_max]), claims, t_min=t_min)
 
 
 def allows(*args: Any, **kwargs: Any) -> bool:
@@ -134,20 +140,16 @@ def test_nothing_counts_beyond_t_max_or_behind_the_origin():
     assert not allows([BALL], ABOVE, UP, -4.0, 0) and allows([BALL], ABOVE, UP, *MISS)
 
 
-def at_least(t: float, t_min: float, n: Any = UP) -> bool:
-    """Whether a ray that begins at t_min may meet the ball at t; inf: miss it."""
-    o, d = np.array([ABOVE]), DOWN[None]
-    p = np.array([ABOVE]) + (t if np.isfinite(t) else 0.0) * d
-    claims = Claims(np.array([t]), np.array([0 if np.isfinite(t) else -1]), np.array([n]), np.array([n]), p)
-    judge = bracket([BALL], o, d, ours=True).judge
-    return bool(judge(o, d, np.array([np.inf]), claims, t_min=t_min).allowed[0])
+NEAR_SIDE, FAR_SIDE = (4.0, 0, UP), (6.0, 0, DOWN)
 
 
-def test_nothing_counts_before_t_min():
-    assert at_least(4.0, 3.0) and not at_least(6.0, 3.0, DOWN) and not at_least(np.inf, 3.0)
-    assert not at_least(4.0, 5.0) and at_least(6.0, 5.0, DOWN) and not at_least(np.inf, 5.0)
-    assert not at_least(6.0, 7.0, DOWN) and at_least(np.inf, 7.0)
-    assert at_least(4.0, 4.0) and at_least(6.0, 4.0, DOWN)  # within rounding, either
+@pytest.mark.parametrize(
+    ("t_min", "allowed"),
+    [(3.0, [NEAR_SIDE]), (5.0, [FAR_SIDE]), (7.0, [MISS]), (4.0, [NEAR_SIDE, FAR_SIDE])],  # at 4, either, by rounding
+)
+def test_nothing_counts_before_t_min(t_min, allowed):
+    for claim in (NEAR_SIDE, FAR_SIDE, MISS):
+        assert allows([BALL], ABOVE, DOWN, *claim, t_min=t_min, ours=True) is (claim in allowed)
 
 
 def test_a_primitive_is_looked_at_beyond_its_box_if_it_is_named():

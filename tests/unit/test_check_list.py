@@ -34,4 +34,4 @@ def test_a_check_gets_what_it_names_and_may_have_no_result():
 
 def test_a_scene_without_shapes_has_its_materials():
     empty = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[])
-    assert check_materials(empty) == SceneCheck("materials", 0.0, "no shape")
+    assert check_materials(empty) == SceneCheck("materials", 0.0, "nothing to look at")

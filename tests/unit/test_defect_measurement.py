@@ -11,7 +11,7 @@ from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.judge.defect_lookup import defect_features
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 
 CORNERS = ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 SHAPES = (
@@ -26,11 +26,9 @@ def measured(o, d, *, t=None, prim=-1, shape=None, n=None, off=0.0):
     """Features of one ray and the reference's claim about it: the primitive's own values, t off by so many bounds."""
     camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
     scene = Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=SHAPES)
-    o, d = (np.array([v], np.float32) for v in (o, d))
-    rays = SharedRays(o, d, np.full(1, np.inf, np.float32), np.zeros(1))
-    packed = packed_float32(scene)
+    rays, packed = endless_rays(np.array([o]), np.array([d])), packed_float32(scene)
     model, oracle = model_of(scene, packed, rays), Oracle(packed)
-    o, d = o.astype(float), d.astype(float)
+    o, d = rays.o.astype(float), rays.d.astype(float)
     answers = oracle.first_hits(o, d)
     claims = Claims(np.array([np.inf]), np.array([CLAIMED_MISS]), *np.zeros((3, 1, 3)))
     if prim >= 0:

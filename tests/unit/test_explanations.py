@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mitsuba_ref.judge.classification import reference_prims
+from mitsuba_ref.judge.comparison import reference_prims
 from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds
 
 

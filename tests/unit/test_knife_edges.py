@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 
 from caster.scene.model import Scene
+from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks import knife_edges as module
-from mitsuba_ref.judge.checks.knife_edges import (
-    RayBatch,
-    cast_by_culling,
-    check_knife_edges,
-    prepared_scene,
-    rays_at_edges,
-)
+from mitsuba_ref.judge.checks.knife_edges import cast_by_culling, check_knife_edges, prepared_scene, rays_at_edges
 
 SHAPES = [
     {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": 0.5},
@@ -72,14 +67,10 @@ def test_directions_too_short_or_long_to_square_give_the_bits_of_t_that_they_hav
     plain = np.array([[0.01 * k, 0.02, -1.0] for k in range(-8, 9)])
     o = np.tile([0.0, 0.0, 5.0], (len(plain), 1))
 
-    def cast(d):
-        count = len(d)
-        return cast_by_culling(packed, RayBatch(o, d, np.zeros(count), np.full(count, np.inf)), "brute-force")
-
-    expected = cast(plain)
+    expected = cast_by_culling(packed, endless(o, plain), "brute-force")
     assert (expected.prim >= 0).all()
     for power in (-900, -300, 0, 300, 900):
-        found = cast(np.ldexp(plain, power))
+        found = cast_by_culling(packed, endless(o, np.ldexp(plain, power)), "brute-force")
         assert np.array_equal(found.prim, expected.prim)
         assert np.array_equal(found.t, np.ldexp(expected.t, -power))
 
@@ -91,7 +82,6 @@ def test_a_hit_so_near_that_the_scaled_t_is_denormal_keeps_the_bits_of_t():
     for power in (-900, -400):
         d = np.ldexp([[0.01, 0.02, -0.7], [0.0, -0.03, -0.9]], power)
         o = np.tile([0.125, 0.0625, 3.0 * 2.0**-1060], (2, 1))
-        rays = RayBatch(o, d, np.zeros(2), np.full(2, np.inf))
-        found = cast_by_culling(packed, rays, "brute-force")
+        found = cast_by_culling(packed, endless(o, d), "brute-force")
         expected = [float(Fraction(3) / 2**1060 / -Fraction(float(z))) for z in d[:, 2]]
         assert found.t.tolist() == pytest.approx(expected, rel=1e-14, abs=0.0)

@@ -11,7 +11,6 @@ from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.intersections import without_edges
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.judge.diffuse import materials_of
 
 LIGHTS = [
     {"type": "point", "position": [1.3, 2.1, 0.4], "intensity": [10, 20, 5]},
@@ -26,8 +25,9 @@ SCENE = Scene(
     materials=MATERIALS,
     shapes=[{"type": "sphere", "material": "one"}, {"type": "sphere", "material": "both"}],
 )
-SHAPE_MATERIALS = materials_of(SCENE)
 COUNT = 600
+SHAPE = np.arange(COUNT) % 2  # which of the materials a point has
+REFLECTANCE = np.array([material["reflectance"] for material in MATERIALS.values()])[SHAPE]
 
 
 def units(rng: np.random.Generator) -> np.ndarray:
@@ -39,7 +39,7 @@ def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh
     flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
     errors = np.full(COUNT, sh_error)
     at = without_edges(flat, flat, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat)
-    return ShadingPoints(p, d, np.arange(COUNT) % 2, at)
+    return ShadingPoints(p, d, at, REFLECTANCE, SHAPE == 1)
 
 
 def some(rng: np.random.Generator, p_error: float = 0.0, sh_error: float = 0.0) -> ShadingPoints:
@@ -67,7 +67,7 @@ def radiance(light: dict[str, Any], material: dict[str, Any], p: Any, d: Any, n:
 @pytest.mark.parametrize("light", [0, 1], ids=["point", "directional"])
 def test_radiance_is_that_of_the_textbook(light):
     hit = some(np.random.default_rng([140, light]))
-    found = light_contribution(SHAPE_MATERIALS, SCENE.lights[light], hit, KU)
+    found = light_contribution(SCENE.lights[light], hit, KU)
     materials = list(MATERIALS.values())
     expected = np.array(
         [radiance(LIGHTS[light], materials[i % 2], hit.p[i], hit.d[i], hit.at.sh_n[i]) for i in range(COUNT)]
@@ -83,12 +83,12 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
     """And is not far from what happens: some point uses more than half of it."""
     rng = np.random.default_rng([141, light])
     hit = some(rng, error, error)
-    found = light_contribution(SHAPE_MATERIALS, SCENE.lights[light], hit, KU)
+    found = light_contribution(SCENE.lights[light], hit, KU)
     used = np.zeros(COUNT)
     for _ in range(10):
         n = hit.at.sh_n + error * units(rng)
         moved = hits(rng, hit.p + error * units(rng), hit.d, n, 0.0, 0.0)
-        change = np.abs(light_contribution(SHAPE_MATERIALS, SCENE.lights[light], moved, KU).radiance - found.radiance)
+        change = np.abs(light_contribution(SCENE.lights[light], moved, KU).radiance - found.radiance)
         sure = ~found.doubtful  # where either side may be seen, the judge tries both
         with np.errstate(invalid="ignore"):
             share = np.where(change[sure] == 0.0, 0.0, change[sure] / found.error[sure]).max(axis=1)
@@ -114,14 +114,15 @@ def test_the_bound_at_its_limits(n, d, p_error, error, doubtful):
     hit = hits(
         np.random.default_rng(0), np.zeros((COUNT, 3)), np.tile(d, (COUNT, 1)), np.tile(n, (COUNT, 1)), p_error, 0.25
     )
-    found = light_contribution(lambert.Materials(np.ones((2, 3)), np.zeros(2, bool)), light, hit, KU)
+    white = hit._replace(reflectance=np.ones((COUNT, 3)), two_sided=np.zeros(COUNT, bool))
+    found = light_contribution(light, white, KU)
     assert np.all(found.error == pytest.approx(error, rel=1e-14)) and (found.doubtful == doubtful).all()
 
 
 def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light():
     rng = np.random.default_rng(142)
     hit, normals = some(rng), units(rng)
-    point, sun = (light_contribution(SHAPE_MATERIALS, SCENE.lights[i], hit, KU) for i in (0, 1))
+    point, sun = (light_contribution(SCENE.lights[i], hit, KU) for i in (0, 1))
     p = hit.p + 1e-6 * units(rng)
     near, far = (lambert.reference_shadow_rays(hit, light, p, normals) for light in (point, sun))
     for rays, way in ((near, np.array(LIGHTS[0]["position"]) - p), (far, sun.to_light)):

@@ -38,16 +38,13 @@ def of_unit_directions(scene, o, d):
     return right(scene, o, d / length(d)[:, None])[0], None
 
 
-def only_of_unit_directions(scene, o, d):
-    if not np.allclose(length(d), 1.0, atol=1e-5):
-        raise ValueError("|d| has to be 1")
-    return right(scene, o, d)
+def refusing_other_directions(error):
+    def cast(scene, o, d):
+        if not np.allclose(length(d), 1.0, atol=1e-5):
+            raise error("|d| has to be 1")
+        return right(scene, o, d)
 
-
-def declines_other_directions(scene, o, d):
-    if not np.allclose(length(d), 1.0, atol=1e-5):
-        raise NotImplementedError("|d| has to be 1")
-    return right(scene, o, d)
+    return cast
 
 
 def checked(call, name="one-sphere"):
@@ -65,9 +62,11 @@ PLANTED = [
     (of_unit_directions, "t is a distance, it has to count in lengths of d"),
     (changed(lambda d, t: t / length(d)), "t is divided by |d| once too often"),
     (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, |d| = 7"),
-    (only_of_unit_directions, "rays in other directions, |d| not 1: candidate raised ValueError"),
-    (declines_other_directions, "rays in other directions, |d| not 1: candidate raised NotImplementedError"),
-]  # fmt: skip
+    *(
+        (refusing_other_directions(error), f"rays in other directions, |d| not 1: candidate raised {error.__name__}")
+        for error in (ValueError, NotImplementedError)
+    ),
+]
 
 
 @pytest.mark.parametrize(("call", "says"), PLANTED)

@@ -73,6 +73,7 @@ def test_a_resized_film_keeps_all_pixels_that_its_crop_reaches(size):
 @pytest.mark.parametrize("crop", [(0, 0, 8, 6), (7, 0, 8, 6), (0, 5, 1, 6), (2, 1, 4, 3)])
 def test_the_window_of_a_film_is_its_crop(crop):
     assert built().with_film(crop=crop).film.window == crop
+    assert Film(width=8, height=6).window == (0, 0, 8, 6)
 
 
 def test_a_given_crop_is_checked_against_the_new_film():

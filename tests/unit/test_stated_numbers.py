@@ -26,7 +26,7 @@ from caster.kernels.triangles import fast_barycentrics
 from caster.scene.model import Scene
 from mitsuba_ref import error_model, oracle, shapes
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 from mitsuba_ref.shapes import reference_of
 
 FILE = Path(__file__).with_name("stated_numbers.json")
@@ -92,9 +92,8 @@ def constants() -> dict[str, list[float]]:
 def bounds(shape: Any) -> dict[str, list[float]]:
     """t, error bounds and verdicts of the intersections of some rays, for each rounding."""
     scene = scene_of(shape)
-    none = np.zeros((1, 3), np.float32)
-    rays = SharedRays(none, none + 1, np.full(1, np.inf, np.float32), np.zeros(1))
-    model = model_of(scene, packed_float32(scene), rays)
+    none = np.zeros((1, 3))
+    model = model_of(scene, packed_float32(scene), endless_rays(none, none + 1))
     low, high = (np.clip(corner, -5.0, 40.0) for corner in float_box(model.kinds[0]))
     o = np.repeat(np.array(ORIGINS) + low, len(TARGETS), axis=0).astype(np.float32).astype(float)
     d = np.tile(low + np.array(TARGETS) * (high - low), (len(ORIGINS), 1)) - o

@@ -4,7 +4,7 @@ The pipeline, the command line, the pytest plug-in and docs/method.md read names
 """
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, wraps
 from importlib import import_module
 from pkgutil import iter_modules
@@ -18,6 +18,7 @@ from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import pixel_of
 
 Found = tuple[float, str]  # ratio and text of a SceneCheck
+Results = Found | Iterator[Found] | None  # of several, the worst counts
 Make = Callable[..., SceneCheck | None]
 Scope = Literal["run", "scene", "window"]
 
@@ -48,16 +49,18 @@ _registered: dict[str, Check] = {}
 
 def check(
     *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False, thorough: bool = False
-) -> Callable[[Callable[..., Found | None]], Make]:
-    """Register a function `check_NAME` as the check NAME, which its result is given."""
+) -> Callable[[Callable[..., Results]], Make]:
+    """Register a function `check_NAME` as the check NAME, which its result is given; it may yield several."""
 
-    def register(function: Callable[..., Found | None]) -> Make:
+    def register(function: Callable[..., Results]) -> Make:
         name = function.__name__.removeprefix("check_")
         needs = tuple(inspect.signature(function).parameters)
 
         @wraps(function)
         def make(*inputs: Any, **named: Any) -> SceneCheck | None:
             found = function(*inputs, **named)
+            if isinstance(found, Iterator):
+                found = worst_share(found)
             return found and SceneCheck(name, *found)
 
         _registered[name] = Check(name, make, needs, of, scope, camera, thorough)
@@ -111,9 +114,15 @@ def run_checks(subject: Any) -> tuple[SceneCheck, ...]:
 # ---- what several checks share ----
 
 
-def worst_share(shares: Iterable[tuple[float, str]], nothing: str = "nothing to look at") -> Found:
-    """The largest of the errors over their bounds, NaN before all, and its place. nothing: the text without any."""
-    return max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, nothing))
+def worst_share(shares: Iterable[Found]) -> Found:
+    """The largest of the errors over their bounds and its place; one that is infinite or NaN ends the search."""
+    worst: Found | None = None
+    for share in shares:
+        if worst is None or not share[0] <= worst[0]:
+            worst = share
+        if not share[0] < np.inf:
+            break
+    return worst or (0.0, "nothing to look at")
 
 
 def bits_differ(a: Array, b: Array) -> Array:

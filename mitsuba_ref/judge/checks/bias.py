@@ -32,12 +32,12 @@ def kind_biases(judge: Judge) -> list[KindBias]:
 
     Without instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
     """
-    packed, answer, bounds = judge.model.packed, judge.result.answer, judge.bounds
+    packed, answer = judge.model.packed, judge.result.answer
     error = judge.result.t - judge.answer.t
-    share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
-    turned = judge.pixels.distance("normal") / bounds.at.n_error
-    same = np.equal(*judge.pixels.pair("shape_id"))
-    near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
+    share = np.where(error == 0.0, 0.0, error / judge.at.t_error)
+    turned = judge.distance("normal") / judge.at.n_error
+    same = np.equal(*judge.sides("shape_id"))
+    near = (np.abs(share) <= 1.0) & np.isfinite(judge.at.t_error)
     hit = (judge.prim >= 0) & judge.result.hit & near
     if original := original_of(judge.scene):
         hit[hit] = ~(original.condition > 0.0)[packed.shape_of(judge.prim[hit])]
@@ -51,14 +51,14 @@ def kind_biases(judge: Judge) -> list[KindBias]:
         prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
         ways = (None if scalar else reference.rounding_groups_llvm) or reference.rounding_groups
-        keys = [way(prims=prims, k=k[here], n=bounds.own.n[at], o=judge.o[at], d=judge.d[at]) for way in ways]
+        keys = [way(prims=prims, k=k[here], n=judge.own.n[at], o=judge.o[at], d=judge.d[at]) for way in ways]
         quantity, errors = "t", share[at]
         if reference.position_terms is not None:
             quantity = "position"
             errors = position_shares(reference.position_terms, prims, k[here], at, judge)
             keys.append(answer.prim_uv[at])  # a corner's products with the same number are rounded alike
         groups, z = zip(*(z_of_groups(key, errors) for key in keys), strict=True)
-        resolution = U32 * judge.answer.t[at] / bounds.at.t_error[at]  # how well each t is resolved, its weight
+        resolution = U32 * judge.answer.t[at] / judge.at.t_error[at]  # how well each t is resolved, its weight
         weight = float(resolution @ resolution)
         t_bias = float(share[at] @ resolution) / weight if weight > 0.0 else 0.0
         found.append(KindBias(reference.name, min(groups), min(z, key=abs), quantity, t_bias))
@@ -85,7 +85,7 @@ def position_shares(terms: PositionTerms, prims: Any, k: Array, at: Array, judge
     in the face's plane, up to K roundings of what is added. To these comes our own rounding, which alone counts where
     Mitsuba has none: in a plane through the origin, across an axis.
     """
-    o, d, t, own = judge.o[at], judge.d[at], judge.answer.t[at], judge.bounds.own
+    o, d, t, own = judge.o[at], judge.d[at], judge.answer.t[at], judge.own
     b1, b2 = judge.result.answer.prim_uv[at].T
     weights = stacked_columns(np.float32(1.0) - b1 - b2, b1, b2).astype(np.float64)  # the first as Mitsuba rounds it
     p, n = judge.result.answer.p[at].astype(np.float64), own.n[at]
@@ -164,7 +164,7 @@ def fitted_factor(judge: Judge) -> tuple[float, float, int]:
     A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s
     changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
     """
-    answer, own, prims = judge.answer, judge.bounds.own, judge.prim
+    answer, own, prims = judge.answer, judge.own, judge.prim
     bound = own.t_error + answer.t_rounding
     error = (answer.t - own.t) / bound
     shift = own.n / (dot(own.n, judge.d) * bound)[:, None]

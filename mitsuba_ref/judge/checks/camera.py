@@ -16,13 +16,7 @@ from mitsuba_ref.reference.shared_input import pixel_centers
 @check(scope="window", camera=True)
 def check_camera(scene: Scene) -> Found:
     """Compare our float64 rays with an independent implementation of the camera's formula."""
-    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
-    if scene.film.window != (x0, y0, x1, y1):
-        return np.inf, f"window {scene.film.window}, expected {(x0, y0, x1, y1)}"
-    ours = camera_rays(scene)
-    x, y = pixel_centers(scene)
-    if len(ours.o) != len(x):
-        return np.inf, f"{len(ours.o)} rays, the window has {len(x)} pixels"
+    ours, (x, y) = camera_rays(scene), pixel_centers(scene)
     expected = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
     forward, up = camera_axes(scene.camera)[2], np.array(scene.camera.up, np.float64)
@@ -61,8 +55,6 @@ def check_sensor(scene: Scene, result: ReferenceResult) -> Found:
         return np.inf if expected else 0.0, what
     ours, reference = camera_rays(scene), reference_of_camera(scene.camera)
     o, d, t_max = sensor[:, :3], sensor[:, 3:6], sensor[:, 6]
-    if len(d) != len(ours.d):
-        return np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}"
     bound = KU * reference.amplification(scene.camera, scene.film)
     along = dot(o - ours.o, ours.d)
     aside = norm(o - ours.o - along[:, None] * ours.d)

@@ -11,6 +11,7 @@ its loader refuses, such as STL, OFF, glTF and PLY with polygons, are reported a
 """
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.intersections import Array, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
-from mitsuba_ref.judge.checks import Found, check, worst_share
+from mitsuba_ref.judge.checks import Found, check
 from mitsuba_ref.reference.messages import LoadedMesh
 
 
@@ -68,18 +69,15 @@ def _absolute(corner: bytes, counts: list[int]) -> bytes:
 
 
 @check()
-def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> Found:
+def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> Iterator[Found]:
     """Compare every mesh file of the scene. loaded: by Mitsuba, in the order of `files_of`."""
     files = files_of(scene)
     if len(loaded) != len(files):
-        return np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}"
+        yield np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}"
     names = [file.name for file in files]
-    shares = (
-        (share, f"{what} of {file.name if names.count(file.name) == 1 else file}")
-        for (file, mesh), theirs in zip(files.items(), loaded, strict=True)
-        for what, share in _errors(mesh, theirs, file).items()
-    )
-    return worst_share(shares)
+    for (file, mesh), theirs in zip(files.items(), loaded, strict=False):
+        for what, share in _errors(mesh, theirs, file).items():
+            yield share, f"{what} of {file.name if names.count(file.name) == 1 else file}"
 
 
 @without_float_warnings

@@ -15,8 +15,9 @@ from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_
 from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Found, check
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
+from mitsuba_ref.judge.diagnosis import CastRays
 from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32, shared_rays
-from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject
+from mitsuba_ref.subjects.subject import OURS, CastRequest, NoAnswer, Subject
 
 LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and another number
 RAYS, RAYS_TRIED = 64, 1024  # rays that hit something, in each group; rays of the film, for those
@@ -63,13 +64,17 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
     return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
 
 
-def cast_further(subject: Subject, scene: Scene, o: Array, d: Array) -> tuple[Array, Array] | None:
-    """(a candidate's t, the expected t) along further rays (m, 3), rounded to float32; None if it gives no answer."""
-    o, d = rounded(o), rounded(d)
-    try:
-        return _answer(subject, scene, o, d), expected_t(scene, o, d)[0]
-    except NoAnswer:
-        return None
+def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
+    """How a diagnosis casts further rays by a candidate, rounded to float32; None if it takes none, and for ours."""
+
+    def cast(o: Array, d: Array) -> tuple[Array, Array] | None:
+        o, d = rounded(o), rounded(d)
+        try:
+            return _answer(subject, scene, o, d), expected_t(scene, o, d)[0]
+        except NoAnswer:
+            return None
+
+    return cast if subject.takes_rays and subject is not OURS else None
 
 
 def _answer(subject: Subject, scene: Scene, o: Array, d: Array) -> Array:

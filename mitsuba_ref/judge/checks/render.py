@@ -13,12 +13,11 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.intersections import Array, Rays, any_of_columns, norm
-from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check, worst_pixel
-from mitsuba_ref.judge.diffuse import diffuse_within_float64
+from mitsuba_ref.judge.diffuse import diffuse_within_float64, shading_points
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 # `render`, which is what users get, against the rays that are judged.
@@ -103,7 +102,6 @@ def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
     at = intersections_at(model, prim, o, d, t, KU_OURS, ours=True)
-    right[hit] &= diffuse_within_float64(
-        scene, ShadingPoints(o + t[:, None] * d, d, shape, at, albedo[hit]), prim, diffuse[hit], bracket
-    )
+    points = shading_points(scene, o + t[:, None] * d, d, at, shape, albedo[hit])
+    right[hit] &= diffuse_within_float64(scene, points, prim, diffuse[hit], bracket)
     return right

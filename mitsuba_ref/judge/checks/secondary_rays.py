@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.adjudication import named_prims
-from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check, worst_share
+from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure, scene_of_ray
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, WRONG, Departures, OriginJudge
@@ -36,13 +36,8 @@ LEFT_OUT = 4.0 * U32
 
 
 @check(of=(OURS,))
-def check_secondary_rays(bounce: Bounce, scene: Scene) -> Found:
+def check_secondary_rays(bounce: Bounce, scene: Scene) -> Iterator[Found]:
     """Each ray follows the law of its kind within the rounding of float32, and none is missing or too many."""
-    return worst_share(_shares(bounce, scene))
-
-
-def _shares(bounce: Bounce, scene: Scene) -> Iterator[tuple[float, str]]:
-    """Shares of bounds, with what they are about."""
     rays, parents = bounce.rays, bounce.parents
     kinds, prim = np.array(RAY_KINDS)[rays.kind], np.where(bounce.continues, parents.nearest.prim, -1)
     hit, t = prim >= 0, parents.nearest.t
@@ -59,7 +54,7 @@ def _shares(bounce: Bounce, scene: Scene) -> Iterator[tuple[float, str]]:
     error = 4.0 * ior * ior * n_error + KU_OURS
     passes = np.sqrt(np.maximum(squared - error - 4.0 * ior * ior * LEFT_OUT, 0.0)) > n_error + LEFT_OUT
 
-    def counted(kind: str, may: Array, must: Array) -> tuple[float, str]:
+    def counted(kind: str, may: Array, must: Array) -> Found:
         count = np.bincount(rays.parent[kinds == kind], minlength=len(hit))
         return _worst(np.where((count > may) | (count < must), np.inf, 0.0), f"hits with missing or extra {kind} rays")
 
@@ -93,7 +88,7 @@ def _shares(bounce: Bounce, scene: Scene) -> Iterator[tuple[float, str]]:
     yield _worst(nearest, "the way of shadow rays to a light")
 
 
-def _worst(shares: Array, what: str) -> tuple[float, str]:
+def _worst(shares: Array, what: str) -> Found:
     wrong = int((~(shares <= 1.0)).sum())
     return float(shares.max(initial=0.0)), f"{what}: {wrong} of {len(shares)}" if wrong else what
 

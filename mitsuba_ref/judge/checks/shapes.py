@@ -11,18 +11,18 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, trans
 from mitsuba_ref.error_model.intersections import without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.adjudication import ratio_to_bound
-from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
+from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import kind_of, reference_of
 
 
 @check()
-def check_placement(scene: Scene) -> Found:
+def check_placement(scene: Scene) -> Iterator[Found]:
     """Compare each shape's matrix with an independent composition of its steps."""
-    placed = ((name, shape) for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world)
-    shares = ((transform_error_ratio(shape), f"to_world of {name}") for name, shape in placed)
-    return worst_share(shares, "no shape has a to_world")
+    for name, shape in zip(scene.shape_names(), scene.shapes, strict=True):
+        if shape.to_world:
+            yield transform_error_ratio(shape), f"to_world of {name}"
 
 
 # How a scene is packed, by the type that its numbers are rounded to: for `render`, and for the comparison.
@@ -30,12 +30,8 @@ PACKINGS: dict[str, Callable[[Scene], Packed]] = {"float64": packed, "float32": 
 
 
 @check()
-def check_geometry(scene: Scene) -> Found:
+def check_geometry(scene: Scene) -> Iterator[Found]:
     """Compare each shape's packed numbers, float64 and float32, with an independent computation."""
-    return worst_share(_packing_shares(scene))
-
-
-def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
     for number, (name, shape) in enumerate(zip(scene.shape_names(), scene.shapes, strict=True)):
         for precision, packing in PACKINGS.items():
             part = packing(scene).parts[number]
@@ -70,14 +66,11 @@ def _packing_error_ratio(claim: ExpectedNumbers, numbers: np.finfo[Any]) -> floa
 
 
 @check(of=(OURS,))
-def check_materials(scene: Scene) -> Found:
+def check_materials(scene: Scene) -> Iterator[Found]:
     """Check that each shape's material is the one it names; Mitsuba gets the material that the caster looks up."""
-    described = [scene.materials[shape.material] if shape.material else Diffuse() for shape in scene.shapes]
-    rows = zip(scene.shapes, described, scene.shape_names(), strict=True)
-    shares = (
-        (0.0 if scene.material_of(shape) == right else np.inf, f"material of {name}") for shape, right, name in rows
-    )
-    return worst_share(shares, "no shape")
+    for name, shape in zip(scene.shape_names(), scene.shapes, strict=True):
+        named = scene.materials[shape.material] if shape.material else Diffuse()
+        yield 0.0 if scene.material_of(shape) == named else np.inf, f"material of {name}"
 
 
 @check()
