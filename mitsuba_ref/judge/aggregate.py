@@ -112,7 +112,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis.causes])) if len(rows) else rows
     worst_first = rows[np.lexsort([-excess, alike])].tolist()
     rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
-    causes = sorted(diagnosis.rows_of.values(), key=len, reverse=True)
+    causes = sorted((cause.rows for cause in diagnosis.causes), key=len, reverse=True)
     leading = [min(cause_rows.tolist(), key=rank.__getitem__) for cause_rows in causes]
     chosen = list(dict.fromkeys([*leading, *worst_first]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)

@@ -9,10 +9,9 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
 from mitsuba_ref.judge.classification import EXACT, Judge, reference_prims
-from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
@@ -132,16 +131,10 @@ def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
     surface = max((len(_surface_text(each)) for each in shown), default=0)
     for each in shown:
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
-        verdict = "allowed" if _is_loose(each) else verdict
         answer = f"{verdict:<7}  {_surface_text(each):<{surface}}  {_error_text(each)}"
         yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
     if any(each.problem == MISSING for each in found):
         yield f"  {MISSING}: {variants.usable_variants().why}"
-
-
-def t_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
-    """t of each that hits, in decimal and to the bit."""
-    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in found if np.isfinite(each.t))
 
 
 def _surface_text(each: WitnessAnswer) -> str:
@@ -153,14 +146,7 @@ def _error_text(each: WitnessAnswer) -> str:
     parts = []
     if each.ulps is not None:
         parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
-    if _is_loose(each) and each.off:
-        parts.append(f"allowed: t is off by {100.0 * abs(each.off / each.t):.2g} %")
     for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
         if share is not None and not share <= 1.0:
             parts.append(f"{what}{share:.3g}x its bound")
     return ", ".join((*parts, *filter(None, [each.remark])))
-
-
-def _is_loose(each: WitnessAnswer) -> bool:
-    """Whether t is right only because its bound is loose."""
-    return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))

@@ -146,7 +146,7 @@ def write_reproducers(
     if not (judge.names_prims or is_list):
         return (), 0
     groups = (
-        {what: rows.tolist() for what, rows in seen.diagnosis.rows_of.items()} if is_list else rows_by_case(judgement)
+        {cause.what: cause.rows.tolist() for cause in seen.diagnosis.causes} if is_list else rows_by_case(judgement)
     )
     for label, rows in groups.items():
         for row in [row for row in rows if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]:

@@ -18,7 +18,7 @@ from caster.image.previews import aov_view
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
+from mitsuba_ref.judge.explanations import ALIKE_REASONS, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG, WRONG
 
@@ -173,7 +173,7 @@ def rows_without_loss(seen: Seen, classes: Array, hit: Array) -> Array:
     the image, of those that agree and of those that do not."""
     worst = np.max([*seen.judgement.ratios.values()], axis=0)
     chosen = [
-        *(rows[:1] for rows in seen.diagnosis.rows_of.values()),
+        *(cause.rows[:1] for cause in seen.diagnosis.causes),
         np.argsort(-worst, kind="stable")[:WORST_WITHOUT_LOSS],
     ]
     agree = classes == CLASS_CODE[AGREE]
@@ -204,7 +204,7 @@ def _reasons(seen: Seen, classes: Array) -> Part:
     return {
         "rows": packed(explained.astype(np.int32)),
         **numbered(reason(judge, judgement, by_row, int(row)) for row in explained),
-        "always": {CLASSES.index(name): text for name, text in constant_reasons(judge).items()},
+        "always": {CLASSES.index(name): text for name, text in ALIKE_REASONS.items()},
     }
 
 
