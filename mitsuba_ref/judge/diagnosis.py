@@ -3,7 +3,7 @@
 It describes pixels that fail; it never decides whether a pixel passes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -60,25 +60,14 @@ class Cause:
     alike: Array = field(default_factory=lambda: NONE)  # rows with the same symptom that were not adjudicated
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """All causes; each failing row has at least one."""
-
-    causes: tuple[Cause, ...]
-
-    def by_row(self) -> dict[int, str]:
-        """The sentence about each row."""
-        found: dict[int, str] = {}
-        for cause in self.causes:
-            for row in cause.rows.tolist():
-                found[row] = f"{found[row]}; and {cause.what}" if row in found else cause.what
-            found |= dict.fromkeys(cause.alike.tolist(), f"{cause.what} ({SAME_SYMPTOM})")
-        return found
-
-    def evidence_at(self, row: int) -> list[str]:
-        """What separates the pixels of a row's causes, and their remedies."""
-        its = [cause for cause in self.causes if row in cause.rows or row in cause.alike]
-        return [text for cause in its for text in (cause.where, cause.remedy) if text]
+def sentence_by_row(causes: Sequence[Cause]) -> dict[int, str]:
+    """The sentence about each row that fails; each has at least one cause."""
+    found: dict[int, str] = {}
+    for cause in causes:
+        for row in cause.rows.tolist():
+            found[row] = f"{found[row]}; and {cause.what}" if row in found else cause.what
+        found |= dict.fromkeys(cause.alike.tolist(), f"{cause.what} ({SAME_SYMPTOM})")
+    return found
 
 
 def failing_rows(judgement: Judgement) -> Array:
@@ -99,8 +88,7 @@ class _Causes:
     def __init__(self, judge: Judge, judgement: Judgement, cast: CastRays | None):
         self.judge, self.judgement, self.cast = judge, judgement, cast
         self.found: dict[str, Cause] = {}
-        self.left = np.zeros(len(judge.t_max), bool)  # rows that fail and have no cause yet
-        self.left[failing_rows(judgement)] = True
+        self.left = np.isin(np.arange(len(judge.t_max)), failing_rows(judgement))  # rows that have no cause yet
 
     def take(
         self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False, beside: bool = False
@@ -161,14 +149,14 @@ class _Causes:
 
 
 @np.errstate(all="ignore")  # predictions overflow where a caster gives a t of 1e300
-def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -> Diagnosis:
+def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -> tuple[Cause, ...]:
     """The causes of all failing pixels: invalid answers, then the tables of mistakes, then descriptions.
 
     cast: asks the subject for further rays, by which it finds what makes it miss; None: it takes none.
     """
     causes, exact = _Causes(judge, judgement, cast), judgement.exact
     if not causes.left.any():
-        return Diagnosis(())
+        return ()
     misses = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     if marked := marked_misses(judge.answer.t[misses]):
         causes.take(marked, misses, len(misses), "a miss is t = inf; of an image: --miss VALUE")
@@ -193,7 +181,7 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
     for row in np.flatnonzero(causes.left & judgement.is_class(UNDECIDED)):
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
     causes.take("wrong in no way that is recognised", np.flatnonzero(causes.left))
-    return Diagnosis(tuple(causes.found.values()))
+    return tuple(causes.found.values())
 
 
 def _pixels(judge: Judge, judgement: Judgement, rows: Array) -> WrongPixels:

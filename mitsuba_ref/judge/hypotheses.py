@@ -296,37 +296,35 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     if some.sum() < MIN_FITTED_PIXELS:
         return
     g = f.take(some)
-    error, cosine = g.given_t - g.t, dot(g.at.n, g.d)
-    offset, more, shift = (float(np.median(each)) for each in (error, error / g.t, error * cosine))
+    error = g.given_t - g.t
+    offset, more, shift = (float(np.median(each)) for each in (error, error / g.t, error * dot(g.at.n, g.d)))
     sign = "+" if more > 0.0 else "-"
     factor = f"(1 {sign} {abs(more):.3g})" if abs(more) < DISTINCT_RTOL else f"{1.0 + more:.7g}"
-    candidates = (
-        _quantity(
+    fitted: tuple[tuple[str, str, Predicts], ...] = (
+        (
             f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant",
             f"leave out the offset (an epsilon?) of {offset:.3g}",
             lambda h: h.t + offset,
-            IMAGE,
         ),
-        _quantity(
-            f"t is {factor} times what it should be" if more != -1.0 else "t is 0, whatever is hit",
-            "look for a wrong unit, a scale or a length that is not 1"
-            if more != -1.0
-            else "return the t of what is ahead",
+        (
+            f"t is {factor} times what it should be",
+            "look for a wrong unit, a scale or a length that is not 1",
             lambda h: h.t + more * h.t,
-            IMAGE,
-        ),
-        _quantity(
+        )
+        if more != -1.0
+        else ("t is 0, whatever is hit", "return the t of what is ahead", lambda h: 0.0 * h.t),
+        (
             f"each surface is moved along its normal by {shift:.3g}",
             "use points and vertices as they are given",
             lambda h: h.t + shift / dot(h.at.n, h.d),
-            IMAGE,
         ),
     )
     bound = g.at.t_error + g.t_rounding + g.judge.answer.ku * np.abs(g.t)
-    left = [np.median(np.abs(error - fit) / bound) for fit in (offset, more * g.t, shift / cosine)]
+    left = [np.median(np.abs(g.given_t - fit(g)) / bound) for _, _, fit in fitted]
     best, second = np.argsort(left)[:2]
     if left[second] > SEPARATED and left[best] <= MAJORITY * left[second]:
-        yield candidates[best]
+        what, remedy, fit = fitted[best]
+        yield _quantity(what, remedy, fit, SURFACES)
     yield _quantity("1 / t in place of t", "return t itself", lambda h: np.reciprocal(h.t))
 
 
@@ -341,7 +339,7 @@ def _image_orders(shape: tuple[int, int]) -> Iterator[Mistake]:
     yield _ordered("the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1])
     for there in (rows.ravel(order="F"), np.argsort(rows.ravel(order="F"))):  # the same if the image is square
         yield _ordered("the image is transposed, x for y", "rows come first: index y * width + x", there)
-    for y, x in product((0, 1, -1), repeat=2):
+    for y, x in list(product((0, 1, -1), repeat=2))[1:]:
         what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
         yield _ordered(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
 
@@ -664,16 +662,12 @@ def _other_normals() -> Iterator[Mistake]:
     )
 
 
-# A choice: a mistake that names what is wrong leaves no more than so much of an error.
-MAX_SHARE_OF_ERROR_LEFT = 0.5
-
-
 def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> Array:
     """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
     corners = triangle_corners(g.judge, g.prim)
     seen = (corners.astype(np.float32) - g.o.astype(np.float32)[:, None]).astype(np.float64)
     left, error = row_distance(g.n, unit(area_vectors(seen))), row_distance(g.n, g.at.n)
-    return (left <= FIT_FACTOR * g.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
+    return (left <= FIT_FACTOR * g.at.n_error) & (left < MAJORITY * error)
 
 
 def triangle_corners(judge: Judge, prim: Array) -> Array:

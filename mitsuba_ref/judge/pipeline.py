@@ -28,7 +28,7 @@ from mitsuba_ref.judge.checks.bias import kind_biases
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import cast_further
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
-from mitsuba_ref.judge.diagnosis import CastRays, Diagnosis, diagnose
+from mitsuba_ref.judge.diagnosis import CastRays, Cause, diagnose, sentence_by_row
 from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict, kinds_text
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -66,7 +66,7 @@ class Seen(NamedTuple):
 
     judge: Judge
     judgement: Judgement
-    diagnosis: Diagnosis
+    diagnosis: Sequence[Cause]
     wrong_rays: Sequence[AimedFailure]  # of the check `knife_edges`
 
 
@@ -197,7 +197,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
     judge, judgement, diagnosis, _ = seen
     pair, answer = judge.pair, judge.answer
     kinds = kind_counts(judgement, task.bounce) if task.bounce else {}
-    by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
+    by_check, by_row = failing_by_check(judgement), sentence_by_row(diagnosis)
     return _verdict_of(
         task,
         checks,

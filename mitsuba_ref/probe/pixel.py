@@ -11,7 +11,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
-from mitsuba_ref.judge.diagnosis import diagnose
+from mitsuba_ref.judge.diagnosis import diagnose, sentence_by_row
 from mitsuba_ref.judge.explanations import (
     exact_answer,
     exceeded_bounds,
@@ -71,7 +71,7 @@ def probe_with_evidence(
     witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     agrees = judge.hit[0] and judgement.is_class(AGREE)[0]  # elsewhere a share of 0 may mean that nothing was compared
     found = PixelVerdict(
-        **_class_of(judge, judgement, diagnose(judge, judgement).by_row()),
+        **_class_of(judge, judgement, sentence_by_row(diagnose(judge, judgement))),
         x=x,
         y=y,
         ray=_ray(pair.rays),
@@ -120,9 +120,11 @@ def probe_candidate(
     shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
     exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
     diagnosis = diagnose(judge, judgement, further_rays(candidate, response.scene))
-    found = _class_of(judge, judgement, diagnosis.by_row(), row)
+    found = _class_of(judge, judgement, sentence_by_row(diagnosis), row)
     why = filter(None, (found["why"], exceeded_bounds(exceeded)))
-    found["why"] = "\n".join(["; ".join(why), *diagnosis.evidence_at(row)])
+    causes = [cause for cause in diagnosis if row in cause.rows or row in cause.alike]
+    evidence = filter(None, [text for cause in causes for text in (cause.where, cause.remedy)])
+    found["why"] = "\n".join(["; ".join(why), *evidence])
     if row in judgement.not_adjudicated and witness.right is False:  # but here it is adjudicated
         found["verdict"] = WRONG
     return CandidatePixel(
@@ -162,7 +164,7 @@ def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> I
             yield PathRay(path=paths[0], verdict=UNDECIDED, problem=judge.message)
             return
         judgement = judge.judge()
-        diagnosed = diagnose(judge, judgement).by_row()
+        diagnosed = sentence_by_row(diagnose(judge, judgement))
         for path, row in zip(paths, film.row.tolist(), strict=True):
             answers = pixel_answers(judge, judgement, row, EXACT)
             yield PathRay(**_class_of(judge, judgement, diagnosed, row), path=path, answers=answers)

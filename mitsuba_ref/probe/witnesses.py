@@ -128,17 +128,14 @@ def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: Array) -
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
     """A table for a terminal, without the exact answer; empty for a pixel without a ray."""
     shown = [each for each in found if each.who != EXACT]
-    surface = max((len(_surface_text(each)) for each in shown), default=0)
-    for each in shown:
+    surfaces = [f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape for each in shown]
+    width = max(map(len, surfaces), default=0)
+    for each, surface in zip(shown, surfaces, strict=True):
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
-        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}  {_error_text(each)}"
+        answer = f"{verdict:<7}  {surface:<{width}}  {_error_text(each)}"
         yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
     if any(each.problem == MISSING for each in found):
         yield f"  {MISSING}: {variants.usable_variants().why}"
-
-
-def _surface_text(each: WitnessAnswer) -> str:
-    return f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape
 
 
 def _error_text(each: WitnessAnswer) -> str:

@@ -14,7 +14,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
-from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, separators
+from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, sentence_by_row, separators
 from mitsuba_ref.judge.hypotheses import WrongPixels, explanations, mistakes, normal_mistakes
 from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -57,9 +57,9 @@ def answering(judge: Judge, **change) -> Judge:
 def causes_of(judge: Judge):
     judgement = judge.judge()
     found = diagnose(judge, judgement)
-    assert sorted(found.by_row()) == failing_rows(judgement).tolist()
-    assert all(np.array_equal(cause.rows, np.unique(cause.rows)) for cause in found.causes)
-    return found.causes
+    assert sorted(sentence_by_row(found)) == failing_rows(judgement).tolist()
+    assert all(np.array_equal(cause.rows, np.unique(cause.rows)) for cause in found)
+    return found
 
 
 def shape_of(judge: Judge) -> np.ndarray:

@@ -117,7 +117,7 @@ def test_a_mistake_in_colours_of_meshes_is_found(change, monkeypatch):
     judge = scene_judge(scene)
     judgement = judge.judge()
     assert judgement.is_class("undecided", "wrong").mean() > 0.9
-    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement).causes)
+    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement))
     small, _ = reproducer(judge, int(np.flatnonzero(judgement.is_class("undecided", "wrong"))[0]), lit=True)
     assert [len(each.reflectance.vertices) for each in small.materials.values()] == [3]
 
@@ -170,7 +170,7 @@ def test_a_mistake_of_ours_is_found(change, monkeypatch):
     judgement = judge.judge()
     failing = judgement.is_class("undecided", "wrong")
     assert failing.mean() > (0.9 if change is shifted else 0.3)
-    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement).causes)
+    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement))
 
 
 def test_a_shift_by_a_thousandth_of_a_texel_in_mitsubas_scene_is_found(monkeypatch):
