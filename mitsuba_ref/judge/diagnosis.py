@@ -416,13 +416,9 @@ def _features(judge: Judge, rows: Array, prim: Array) -> tuple[list[Property], l
     corners = triangle_corners(judge, prim)
     shape, names = packed.shape_of(prim), judge.scene.shape_names()
     kinds = np.array([kind_of(kind.prims).name.lower() for kind in packed.kinds])[packed.kinds_of(prim)[0]]
-    parts = [(f"what is hit is one of the {kind}", kinds == kind) for kind in np.unique(kinds)]
-    parts = [
-        *parts[len(parts) == 1 :],
-        *((f"{names[k]} is hit", shape == k) for k in np.unique(shape) if len(names) > 1),
-    ]
     properties = [
-        *parts,
+        *((f"what is hit is one of the {kind}", kinds == kind) for kind in np.unique(kinds)),
+        *((f"{names[k]} is hit", shape == k) for k in np.unique(shape)),
         ("the box of the primitive is flat", (high == low).any(axis=1)),
         ("a component of d is 0", (d == 0.0).any(axis=1)),
         ("the surface is seen from behind", dot(at.n, d) > 0.0),

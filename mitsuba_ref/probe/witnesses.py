@@ -16,6 +16,7 @@ from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 CANDIDATE = "candidate"
 WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
@@ -43,8 +44,8 @@ class WitnessAnswer:
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """The answers of all witnesses. judge: of a window of one pixel."""
-    ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
-    rows = [compared_with_exact(ours, judge, answer, np.float64)]
+    surface, t = surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0])
+    rows = [compared_with_exact(WitnessAnswer("ours", *surface, t, format=FLOAT64), judge, answer)]
     if answer is not None:
         rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), answer.distance, right=True))
     return (*rows, *_of_mitsuba(judge, answer))
@@ -68,7 +69,7 @@ def _of_mitsuba(judge: Judge, exact: ExactAnswer | None) -> Iterator[WitnessAnsw
             yield WitnessAnswer(who, problem=f"no answer ({found.exit}): {found.headline}")
             continue
         surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
-        yield compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
+        yield compared_with_exact(WitnessAnswer(who, *surface, float(found.t[0]), format=FLOAT32), judge, exact)
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
@@ -78,17 +79,14 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
     return named_prims(judge.scene, judge.model.packed, np.array([prim]))[0]
 
 
-def compared_with_exact(
-    claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
-) -> WitnessAnswer:
-    """An answer compared with the exact one. kind: the type that it was computed in."""
-    witness = WitnessAnswer(*claimed, format=np.dtype(kind).name)
+def compared_with_exact(witness: WitnessAnswer, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
+    """An answer of ours (float64) or Mitsuba (float32) compared with the exact one."""
     if exact is None:
         return witness
     surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
-    if claimed[1:3] not in surfaces:
+    if (witness.shape, witness.prim) not in surfaces:
         return replace(witness, right=False)
-    ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
+    ours, prim, t = witness.format == FLOAT64, np.array([exact.prim]), np.array([witness.t])
     at = intersections_at(judge.model, prim, judge.o, judge.d, t, KU_OURS if ours else KU, ours=ours)
     found = with_error_of_t(witness, exact, at.t_error)
     return replace(found, right=found.share is None or found.share <= 1.0)
