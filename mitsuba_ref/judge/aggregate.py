@@ -18,7 +18,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement
-from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
+from mitsuba_ref.judge.diagnosis import Cause, failing_rows, sentence_by_row
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers
 from mitsuba_ref.judge.verdict import (
     CLASSES,
@@ -78,9 +78,9 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
     return SceneStatistics(str(scene.camera.type), shapes, count)
 
 
-def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
+def findings(judge: Judge, diagnosis: Sequence[Cause]) -> tuple[Finding, ...]:
     """Each cause once, most pixels first."""
-    ordered = sorted(diagnosis.causes, key=lambda each: -len(each.rows))
+    ordered = sorted(diagnosis, key=lambda each: -len(each.rows))
     return tuple(
         Finding(
             len(each.rows),
@@ -95,17 +95,17 @@ def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
     )
 
 
-def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) -> tuple[Failure, ...]:
+def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Sequence[Cause]) -> tuple[Failure, ...]:
     """Some of the pixels that fail: one of each diagnosis, then the worst of the others, first those looked at.
 
     The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
-    by_row, rows = diagnosis.by_row(), failing_rows(judgement)
+    by_row, rows = sentence_by_row(diagnosis), failing_rows(judgement)
     excess = np.max([judgement.excess(name)[rows] for name in judgement.ratios], axis=0)
-    alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis.causes])) if len(rows) else rows
+    alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis])) if len(rows) else rows
     worst_first = rows[np.lexsort([-excess, alike])].tolist()
     rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
-    causes = sorted(diagnosis.rows_of.values(), key=len, reverse=True)
+    causes = sorted((cause.rows for cause in diagnosis), key=len, reverse=True)
     leading = [min(cause_rows.tolist(), key=rank.__getitem__) for cause_rows in causes]
     chosen = list(dict.fromkeys([*leading, *worst_first]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)

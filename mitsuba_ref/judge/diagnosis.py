@@ -3,7 +3,7 @@
 It describes pixels that fail; it never decides whether a pixel passes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,21 +15,23 @@ from mitsuba_ref.error_model.intersections import Array, dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
-    KU,
     MAJORITY,
     MATCH_RTOL,
     NEARLY_ALL,
     SEPARATES,
     SEPARATOR_CHANCE,
 )
-from mitsuba_ref.judge.adjudication import id_columns, named_prims, sample_rows
+from mitsuba_ref.judge.adjudication import named_prims, sample_rows
+from mitsuba_ref.judge.checks.ray_conventions import marked_misses
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
+    FEW_PIXELS,
     Mistake,
     WrongPixels,
     area_vectors,
     explanations,
+    has_wrong_id,
     has_wrong_normal,
     id_mistakes,
     mistakes,
@@ -42,7 +44,7 @@ from mitsuba_ref.shapes import kind_of
 
 SAME_SYMPTOM = "same symptom, not looked at"
 MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which the tables of mistakes are tried
-RIGHT_PIXELS = 512  # that have to stay right under a mistake
+RIGHT_PIXELS = 512  # hits, and as many misses, that have to stay right under a mistake
 NONE = np.zeros(0, np.int64)
 
 
@@ -58,30 +60,14 @@ class Cause:
     alike: Array = field(default_factory=lambda: NONE)  # rows with the same symptom that were not adjudicated
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """All causes; each failing row has at least one."""
-
-    causes: tuple[Cause, ...]
-
-    @property
-    def rows_of(self) -> Mapping[str, Array]:
-        """The rows of each cause."""
-        return {cause.what: cause.rows for cause in self.causes}
-
-    def by_row(self) -> dict[int, str]:
-        """The sentence about each row."""
-        found: dict[int, str] = {}
-        for cause in self.causes:
-            for row in cause.rows.tolist():
-                found[row] = f"{found[row]}; and {cause.what}" if row in found else cause.what
-            found |= dict.fromkeys(cause.alike.tolist(), f"{cause.what} ({SAME_SYMPTOM})")
-        return found
-
-    def evidence_at(self, row: int) -> list[str]:
-        """What separates the pixels of a row's causes, and their remedies."""
-        its = [cause for cause in self.causes if row in cause.rows or row in cause.alike]
-        return [text for cause in its for text in (cause.where, cause.remedy) if text]
+def sentence_by_row(causes: Sequence[Cause]) -> dict[int, str]:
+    """The sentence about each row that fails; each has at least one cause."""
+    found: dict[int, str] = {}
+    for cause in causes:
+        for row in cause.rows.tolist():
+            found[row] = f"{found[row]}; and {cause.what}" if row in found else cause.what
+        found |= dict.fromkeys(cause.alike.tolist(), f"{cause.what} ({SAME_SYMPTOM})")
+    return found
 
 
 def failing_rows(judgement: Judgement) -> Array:
@@ -102,8 +88,7 @@ class _Causes:
     def __init__(self, judge: Judge, judgement: Judgement, cast: CastRays | None):
         self.judge, self.judgement, self.cast = judge, judgement, cast
         self.found: dict[str, Cause] = {}
-        self.left = np.zeros(len(judge.t_max), bool)  # rows that fail and have no cause yet
-        self.left[failing_rows(judgement)] = True
+        self.left = np.isin(np.arange(len(judge.t_max)), failing_rows(judgement))  # rows that have no cause yet
 
     def take(
         self, what: str, rows: Array, of: int = 0, remedy: str = "", *, where: bool = False, beside: bool = False
@@ -114,18 +99,15 @@ class _Causes:
         if not len(rows):
             return
         self.left[rows] = False
-        before = self.found.get(what)
-        separator = (self._where(rows, bool(remedy)) if where else "") or (before.where if before else "")
-        every = np.union1d(before.rows, rows) if before else rows
-        self.found[what] = Cause(what, every, of, remedy, separator)
-
-    def _where(self, rows: Array, known: bool) -> str:
-        """What separates these rows from right ones; known: their cause is, so that only primitives are named."""
-        text = next(separators(self.judge, self.judgement, rows, prims_only=known), "")
+        separator = next(separators(self.judge, self.judgement, rows, prims_only=bool(remedy)), "") if where else ""
         missed = rows[~self.judge.hit[rows]]
-        if text or known or self.cast is None or len(missed) < NEARLY_ALL * len(rows):
-            return text
-        return tried_text(self.judge, *self.judgement.exact.first_hits(missed), missed, self.cast)
+        if where and not (separator or remedy) and self.cast and len(missed) >= NEARLY_ALL * len(rows):
+            question, separator = tried_text(self.judge, *self.judgement.exact.first_hits(missed), missed, self.cast)
+            what = f"{what}; {question}" if question else what
+        before = self.found.get(what)
+        if before:
+            rows, separator = np.union1d(before.rows, rows), separator or before.where
+        self.found[what] = Cause(what, rows, of, remedy, separator)
 
     def take_alike(self, rows: Array) -> None:
         """Assign pixels that were not adjudicated to the cause of most adjudicated ones of their kind."""
@@ -139,46 +121,45 @@ class _Causes:
     def explain(self, g: WrongPixels, off: Array, table: Table, describe: Describe) -> WrongPixels:
         """Assign mistakes and descriptions to the pixels of g that are off, (m,) bool.
 
-        Returns the pixels where the subject hits the right surface: those that are not off, or by such a mistake.
+        Returns the pixels where the subject hits the right surface: hits that are not off, or by such a mistake.
         """
         on_surface, places = ~off, np.flatnonzero(off)
         f = g.take(places)
         left = np.ones(len(places), bool)
-        for mistake, fits in explanations(f, self.right, table(f)):
+        right = self.right if table is mistakes else self.right.take(self.right.hit)
+        for mistake, fits in explanations(f, right, table(f)):
             self.take(mistake.what, f.rows[fits], len(places), mistake.remedy, where=mistake.single, beside=True)
             left &= ~fits
-            on_surface[places[fits]] = mistake.same_surface
-            if not mistake.same_surface and fits.sum() >= NEARLY_ALL * len(places) > NEARLY_ALL * MAJORITY * len(off):
+            on_surface[places[fits]] = not mistake.elsewhere
+            if mistake.elsewhere and fits.sum() >= NEARLY_ALL * len(places) > NEARLY_ALL * MAJORITY * len(off):
                 self.take(mistake.what, g.rows[~off], len(off), mistake.remedy)  # such as normals of another ray
         f = f.take(left)
-        left = np.ones(len(f.rows), bool)
         for what, fits in describe(f):
-            self.take(what, f.rows[fits & left], where=True, beside=True)
-            left &= ~fits
-        return g.take(on_surface)
+            self.take(what, f.rows[fits], where=True, beside=True)
+        return g.take(on_surface & g.hit & g.given_hit)
 
     @cached_property
     def right(self) -> WrongPixels:
-        """Right pixels, which may contradict a mistake."""
+        """Right hits and misses, which may contradict a mistake."""
         exact = self.judgement.exact
         rows = exact.rows[exact.right]
-        return _pixels(self.judge, self.judgement, sample_rows(rows[self.judge.hit[rows]], RIGHT_PIXELS))
+        hit = self.judge.hit[rows]
+        some = [sample_rows(each, RIGHT_PIXELS) for each in (rows[hit], rows[~hit])]
+        return _pixels(self.judge, self.judgement, np.concatenate(some))
 
 
 @np.errstate(all="ignore")  # predictions overflow where a caster gives a t of 1e300
-def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -> Diagnosis:
+def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -> tuple[Cause, ...]:
     """The causes of all failing pixels: invalid answers, then the tables of mistakes, then descriptions.
 
     cast: asks the subject for further rays, by which it finds what makes it miss; None: it takes none.
     """
     causes, exact = _Causes(judge, judgement, cast), judgement.exact
     if not causes.left.any():
-        return Diagnosis(())
+        return ()
     misses = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
-    t = judge.answer.t[misses]
-    if len(t) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
-        marked = f"t is {t[0]:.7g} where nothing is hit; a miss has t inf"
-        causes.take(marked, misses, len(t), "a miss is t = inf; of an image: --miss VALUE")
+    if marked := marked_misses(judge.answer.t[misses]):
+        causes.take(marked, misses, len(misses), "a miss is t = inf; of an image: --miss VALUE")
     for why, broken in judge.answer.broken.items():
         causes.take(f"no answer: {why}", np.flatnonzero(broken))
     causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
@@ -193,15 +174,14 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
         looked_at = sample_rows(inexact, MAX_DIAGNOSED_PIXELS)
         g = _pixels(judge, judgement, looked_at)
         g = causes.explain(g, g.off, mistakes, _describe_hits)
-        g = g.take(g.hit & g.given_hit)
-        g = causes.explain(g, _has_wrong_id(g), id_mistakes, _describe_ids)
+        g = causes.explain(g, has_wrong_id(g), id_mistakes, _describe_ids)
         causes.explain(g, has_wrong_normal(g), normal_mistakes, _describe_normals)
         inexact = np.setdiff1d(inexact, looked_at)
     causes.take_alike(np.union1d(judgement.not_adjudicated, inexact))
     for row in np.flatnonzero(causes.left & judgement.is_class(UNDECIDED)):
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
     causes.take("wrong in no way that is recognised", np.flatnonzero(causes.left))
-    return Diagnosis(tuple(causes.found.values()))
+    return tuple(causes.found.values())
 
 
 def _pixels(judge: Judge, judgement: Judgement, rows: Array) -> WrongPixels:
@@ -214,21 +194,23 @@ def _pixels(judge: Judge, judgement: Judgement, rows: Array) -> WrongPixels:
 
 
 def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, Array]]:
-    missed, behind = ~f.given_hit & f.hit, _is_behind_first(f)
+    missed, beside, behind = ~f.given_hit & f.hit, f.given_hit & ~f.hit, _is_behind_first(f)
     if behind.any():
         hidden = "the first surface is missed, and what lies behind it is hit, if anything"
         yield hidden if missed.any() else "a surface that lies behind the first one", missed | behind
-    yield "missed; exact arithmetic hits", missed
-    beside = f.given_hit & ~f.hit
+    else:
+        yield "missed; exact arithmetic hits", missed
     if beside.any():
         yield f"a hit; exact arithmetic misses{_outline_text(f.take(beside))}", beside
-    both = f.given_hit & f.hit
-    share = np.where(both, f.given_t / f.t - 1.0, 0.0)
-    for some, word in ((share < 0.0, "before"), (share > 0.0, "behind")):
-        if some.any():
-            where = _outline_text(f.take(some)) if word == "before" else ""
-            yield f"t is off: {word} what is hit, by {range_text(np.abs(share[some]))} of itself{where}", some
-    yield "t is off", both
+    both = f.given_hit & f.hit & ~behind
+    share = f.given_t[both] / f.t[both] - 1.0
+    off = share[(share < 0.0) | (share > 0.0)]
+    if len(off):
+        words = "before" if off.max() < 0.0 else "behind" if off.min() > 0.0 else "before or behind"
+        where = "" if words == "behind" else _outline_text(f.take(both))
+        yield f"t is off: {words} what is hit, by {range_text(np.abs(off))} of itself{where}", both
+    else:
+        yield "t is off", both
 
 
 def _is_behind_first(f: WrongPixels) -> Array:
@@ -239,12 +221,6 @@ def _is_behind_first(f: WrongPixels) -> Array:
     t, at = f.given_t[f.roots.ray], f.roots.at
     behind[f.roots.ray[np.abs(t - at.t) <= np.maximum(at.t_error, MATCH_RTOL * np.abs(t))]] = True
     return behind & f.given_hit & f.hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
-
-
-def _has_wrong_id(f: WrongPixels) -> Array:
-    """(m,) bool: a shape or primitive is named that is not hit."""
-    wrong = [ids[f.rows] != number(f.prim) for _, ids, number in id_columns(f.judge.answer, f.judge.model.packed)]
-    return np.any([np.zeros(len(f.rows), bool), *wrong], axis=0)
 
 
 def _describe_ids(f: WrongPixels) -> Iterator[tuple[str, Array]]:
@@ -282,9 +258,8 @@ def _outline_text(f: WrongPixels) -> str:
         height = np.abs(dot(p - corners[:, 0], n))
         on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
         on_plane &= height <= t_bound * np.abs(n @ d)  # of a miss, beside a triangle along the ray
-        inside, distance = _outline(p, corners)
-        if on_plane.any() and not (on_plane & inside).any():
-            beyond = np.where(on_plane, distance, np.inf)
+        beyond = np.where(on_plane, _outline(p, corners), np.inf)
+        if 0.0 < beyond.min() < np.inf:
             distances.append(beyond.min())
             nearest.append(prims[beyond.argmin()])
     if len(distances) < NEARLY_ALL * len(few.rows):
@@ -294,19 +269,19 @@ def _outline_text(f: WrongPixels) -> str:
     return f", beyond the outline of a triangle, on its plane, {where}"
 
 
-def _outline(p: Array, corners: Array) -> tuple[Array, Array]:
-    """Whether p (3,) or (m, 3) lies inside each triangle (m, 3, 3) if projected, and its distance from the outline."""
-    a, ab, n = corners, np.roll(corners, -1, axis=1) - corners, area_vectors(corners)
-    ap = np.broadcast_to(p, n.shape)[:, None] - a
+def _outline(p: Array, corners: Array) -> Array:
+    """The distance of p (3,) or (m, 3) from the outline of each triangle (m, 3, 3); negative if projected inside."""
+    ab, n = np.roll(corners, -1, axis=1) - corners, area_vectors(corners)
+    ap = np.broadcast_to(p, n.shape)[:, None] - corners
     inside = (np.cross(ab, ap) @ n[:, :, None] >= 0.0).all(axis=(1, 2))
     along = np.clip(np.nan_to_num((ap * ab).sum(axis=2) / (ab * ab).sum(axis=2)), 0.0, 1.0)
-    return inside, np.linalg.norm(ap - along[:, :, None] * ab, axis=2).min(axis=1)
+    distance = np.linalg.norm(ap - along[:, :, None] * ab, axis=2).min(axis=1)
+    return np.where(inside, -distance, distance)
 
 
 # ---- separators: the simplest quantity that differs between wrong and right pixels
 
-MAX_NAMED_PRIMS = 3  # that are wrong at each of their pixels
-MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extreme by chance
+MAX_NAMED_PRIMS = 3  # that are wrong at nearly all of their pixels
 
 Property = tuple[str, Array]  # a sentence, and (n,) bool
 
@@ -325,7 +300,7 @@ def separators(judge: Judge, judgement: Judgement, wrong: Array, *, prims_only: 
         numbers = (np.cumsum(judge.t_max >= 0.0) - 1)[rows]  # a pixel without a ray has no number
         named += _by_remainder("the ray's number", numbers, is_wrong)
     some = [sample_rows(each, MAX_DIAGNOSED_PIXELS) for each in (wrong, right)]
-    if prims_only or min(map(len, some)) < MIN_SEPARATED_PIXELS:
+    if prims_only or min(map(len, some)) < FEW_PIXELS:
         yield from named
         return
     rows, is_wrong = np.concatenate(some), np.repeat([True, False], [*map(len, some)])
@@ -351,33 +326,25 @@ def _where_text(sentence: str, flags: Array, wrong: Array) -> str:
 
 
 def _by_remainder(what: str, numbers: Array, wrong: Array) -> Iterator[str]:
-    """The numbers (n,) of wrong pixels, if they are equal modulo another one."""
-    if found := common_remainder(np.unique(numbers[wrong])):
-        step, rest = found
-        flags = numbers % step == rest
-        if (flags & ~wrong).sum() <= (1.0 - SEPARATES) * (~wrong).sum():
-            yield _where_text(f"{what} is {rest} modulo {step}", flags, wrong)
-
-
-def common_remainder(numbers: Array) -> tuple[int, int] | None:
-    """(divisor, remainder) of ascending numbers; None if chance would do as well.
+    """The numbers (n,) of wrong pixels, if they are equal modulo another one, unless chance would do as well.
 
     k numbers that have nothing to do with each other leave one remainder with probability divisor^(1 - k).
     """
-    step = int(np.gcd.reduce(np.diff(numbers))) if len(numbers) > 1 else 0
-    likely = step < 2 or (1 - len(numbers)) * np.log(step) > np.log(SEPARATOR_CHANCE)
-    return None if likely else (step, int(numbers[0]) % step)
+    of_wrong = np.unique(numbers[wrong])
+    step = int(np.gcd.reduce(np.diff(of_wrong))) if len(of_wrong) > 1 else 0
+    if step < 2 or (1 - len(of_wrong)) * np.log(step) > np.log(SEPARATOR_CHANCE):
+        return
+    rest = int(of_wrong[0]) % step
+    flags = numbers % step == rest
+    if (flags & ~wrong).sum() <= (1.0 - SEPARATES) * (~wrong).sum():
+        yield _where_text(f"{what} is {rest} modulo {step}", flags, wrong)
 
 
 def _by_prims(judge: Judge, prim: Array, wrong: Array) -> Iterator[str]:
-    """The primitives that are wrong at each pixel, if these are few. prim: (n,).
-
-    If the m wrong ones of n pixels had nothing to do with primitives, a further pixel of a wrong primitive would be
-    wrong as well with probability m / n.
-    """
+    """The primitives (n,) of wrong pixels, if these are few and wrong at nearly all of their pixels."""
     named = np.unique(prim[wrong])
-    flags, further = np.isin(prim, named), int(wrong.sum()) - len(named)
-    if 0 < len(named) <= MAX_NAMED_PRIMS and wrong.mean() ** further <= SEPARATOR_CHANCE and not (flags & ~wrong).any():
+    flags = np.isin(prim, named)
+    if 0 < len(named) <= MAX_NAMED_PRIMS and _separates(flags, wrong, len(np.unique(prim)) ** len(named)):
         surfaces = named_prims(judge.scene, judge.model.packed, named)
         words = " or ".join(f"{name}, prim {number}," for name, number in surfaces)
         yield _where_text(f"{words} is hit", flags, wrong)
@@ -385,8 +352,9 @@ def _by_prims(judge: Judge, prim: Array, wrong: Array) -> Iterator[str]:
 
 def _separates(flags: Array, wrong: Array, tried: int) -> bool:
     """Whether nearly all wrong pixels have a property, few others, and chance would not do as well; (n,) bool each."""
-    share = min(flags[wrong].mean(), 1.0 - flags[~wrong].mean())
-    return bool(share >= SEPARATES) and _is_significant(flags, wrong, tried)
+    has, lacks = (flags & wrong).sum(), (~flags & ~wrong).sum()
+    separates = has >= SEPARATES * wrong.sum() and lacks >= SEPARATES * (~wrong).sum()
+    return bool(separates) and _is_significant(flags, wrong, tried)
 
 
 def best_threshold(values: Array, wrong: Array, tried: int) -> tuple[str, Array] | None:
@@ -448,13 +416,9 @@ def _features(judge: Judge, rows: Array, prim: Array) -> tuple[list[Property], l
     corners = triangle_corners(judge, prim)
     shape, names = packed.shape_of(prim), judge.scene.shape_names()
     kinds = np.array([kind_of(kind.prims).name.lower() for kind in packed.kinds])[packed.kinds_of(prim)[0]]
-    parts = [(f"what is hit is one of the {kind}", kinds == kind) for kind in np.unique(kinds)]
-    parts = [
-        *parts[len(parts) == 1 :],
-        *((f"{names[k]} is hit", shape == k) for k in np.unique(shape) if len(names) > 1),
-    ]
     properties = [
-        *parts,
+        *((f"what is hit is one of the {kind}", kinds == kind) for kind in np.unique(kinds)),
+        *((f"{names[k]} is hit", shape == k) for k in np.unique(shape)),
         ("the box of the primitive is flat", (high == low).any(axis=1)),
         ("a component of d is 0", (d == 0.0).any(axis=1)),
         ("the surface is seen from behind", dot(at.n, d) > 0.0),
@@ -469,7 +433,7 @@ def _features(judge: Judge, rows: Array, prim: Array) -> tuple[list[Property], l
         ("t", at.t),
         ("the cosine of ray and normal", np.abs(dot(at.n, unit(d)))),
         ("the size of the primitive", norm(high - low)),
-        ("the distance to the triangle's outline", _outline(o + at.t[:, None] * d, corners)[1]),
+        ("the distance to the triangle's outline", np.abs(_outline(o + at.t[:, None] * d, corners))),
         ("the number of the primitive in its shape", packed.index_in_shape(prim)),
         ("|d|", norm(d)),
     ]
@@ -486,33 +450,34 @@ LONGER, FARTHER = 2.0**40, 1000.0  # a direction; a start, in distances from the
 TURN = rotations(np.array([[1.0, 2.0, 3.0, 21.2]]))[0]  # by 20 degrees
 
 
-def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays) -> str:
-    """The first change of missed rays under which nearly all are right; a question if all rays of the film are missed.
+def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays) -> tuple[str, str]:
+    """A question, from the first change of missed rays under which nearly all hit, and the sizes that it is about.
 
-    rows: that are hit at t, exactly.
+    rows: that are hit at t, exactly. If no change helps, there is a question only if all rays of the film are missed.
     """
     chosen = np.flatnonzero(prim >= 0)
     chosen = chosen[sample_rows(np.arange(len(chosen)), TRIED_RAYS)]
     if not len(chosen):
-        return ""
+        return "", ""
     o, d, t = judge.o[rows[chosen]], judge.d[rows[chosen]], t[chosen, None]
     p, turned = o + t * d, d @ TURN
     determinants = np.abs(dot(d, area_vectors(triangle_corners(judge, prim[chosen]))))
     determinants = determinants[np.isfinite(determinants)]
-    small = f"the determinants of {range_text(determinants)}" if len(determinants) else "such sizes"
-    near = range_text(t * norm(d)[:, None])
-    for changed, question, *lines in (
+    sizes = f"where hits are at distances of {range_text(t * norm(d)[:, None])}"
+    sizes += f" with determinants of {range_text(determinants)}" if len(determinants) else ""
+    for changed, question, start, way in (
         ("alone", "does the number of rays matter", o, d),
-        (f"from {FARTHER:g} times as near", f"is what is as far as {near} lost", p - t * d / FARTHER, d),
-        ("along directions 2^40 times as long", f"is an epsilon larger than {small} here", o, LONGER * d),
-        (f"from {FARTHER:g} times as far", f"is what is nearer than {near} lost", p - FARTHER * t * d, d),
+        (f"from {FARTHER:g} times as near", "are far hits lost", p - t * d / FARTHER, d),
+        ("along directions 2^40 times as long", "is an epsilon larger than the determinants", o, LONGER * d),
+        (f"from {FARTHER:g} times as far", "are near hits lost", p - FARTHER * t * d, d),
         ("along directions turned by 20 degrees", "is a component of d that is 0 a divisor", p - t * turned, turned),
         ("from the other side", "is one side culled, or a sign of d ignored", p + t * d, -d),
     ):
-        given, expected = cast(lines[0], lines[1]) or (NONE, NONE)
+        given, expected = cast(start, way) or (NONE, NONE)
         there = np.isfinite(expected)
         if there.any() and np.isclose(given[there], expected[there], rtol=TRIED_RTOL, atol=0.0).mean() >= NEARLY_ALL:
-            return f"{question}? The same rays hit {changed}"
+            return f"{question}? The same rays hit {changed}", sizes
     if judge.hit.any():
-        return ""
-    return f"is the scene read, do rays reach t = {t.max():.3g}, is every epsilon below {small} here?"
+        return "", ""
+    question = "is the scene read, do rays reach so far, is every epsilon below the determinants"
+    return f"{question}? Further rays miss, too", sizes

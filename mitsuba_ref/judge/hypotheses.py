@@ -5,7 +5,7 @@ Pixels that are right must not contradict it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, permutations, product
 from typing import NamedTuple
 
@@ -35,6 +35,7 @@ from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.reference.shared_input import described_model, pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
+FEW_PIXELS = 8  # of fewer, too many statements are true by chance
 SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
 
 
@@ -84,12 +85,26 @@ class WrongPixels:
         """All intersections of the lines, before and behind the origins; `ray` is the place here."""
         return self.judge.bracket.possible_hits(self.o, self.d, self.judge.t_max[self.rows], -np.inf)
 
+    @cached_property
+    def columns(self) -> list[tuple[str, Array, Callable[[Array], Array]]]:
+        """The numbers of shapes and primitives that the subject gives."""
+        return id_columns(self.judge.answer, self.judge.model.packed)
+
+    @property
+    def named(self) -> Array:
+        """(columns, m) the subject's numbers."""
+        return np.array([ids[self.rows] for _, ids, _ in self.columns]).reshape(len(self.columns), len(self.rows))
+
+    def numbers_of(self, prim: Array) -> Array:
+        """(columns, r) the right numbers of primitives (r,)."""
+        return np.array([number(prim) for _, _, number in self.columns]).reshape(len(self.columns), len(prim))
+
 
 Predicts = Callable[[WrongPixels], Array]  # (m,) bool: the subject answers as if it made the mistake
 
-# What a mistake claims beyond the pixels that it explains. SURFACES: nearly all right pixels agree with it. PIXELS: and
-# more than a few pixels are wrong. IMAGE: and it explains nearly all wrong hits, not misses alone.
-NOTHING, SURFACES, PIXELS, IMAGE = range(4)
+# What a mistake claims beyond the pixels that it explains. SURFACES: nearly all right pixels agree with it. IMAGE: and
+# more than a few pixels are wrong, and it explains nearly all wrong hits, not misses alone.
+NOTHING, SURFACES, IMAGE = range(3)
 
 
 class Mistake(NamedTuple):
@@ -100,7 +115,7 @@ class Mistake(NamedTuple):
     predicts: Predicts
     claim: int = NOTHING
     single: bool = False  # one pixel is enough: nothing is fitted, and no pixel fits by chance
-    same_surface: bool = False  # the right surface is hit, so that its normal is judged as well
+    elsewhere: bool = False  # another surface is hit than the right one, whose normal is not judged
 
 
 Explanation = tuple[Mistake, Array]  # and (m,) bool: the pixels that it explains
@@ -115,10 +130,19 @@ def explanations(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -
     left = np.ones(len(f.rows), bool)
     if not len(left):
         return
-    for mistake, fits in _decisive_first(len(f.rows), _kept(f, right, table)):
-        fits = fits & left
-        if fits.sum() >= (1 if mistake.single else max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)):
-            yield mistake, fits
+    kept, tried = _kept(f, right, table), list[Explanation]()
+
+    def explains(mistake: Mistake, fits: Array, share: float) -> bool:
+        return bool(fits.sum() >= max(share, 1 if mistake.single else MIN_FITTED_PIXELS))
+
+    for mistake, fits in kept:
+        tried.append((mistake, fits))
+        if explains(mistake, fits, NEARLY_ALL * len(fits)):
+            tried.insert(0, tried.pop())
+            break
+    for mistake, fits in chain(tried, kept):
+        if explains(mistake, fits & left, MAJORITY * left.sum()):
+            yield mistake, fits & left
             left &= ~fits
         if not left.any():
             return
@@ -127,15 +151,16 @@ def explanations(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -
 def _kept(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Iterator[Explanation]:
     """The mistakes that explain some pixels and whose claims hold: a few wrong pixels may fit one of many by chance."""
     few = f.take(sample_rows(np.arange(len(f.rows)), SCREENED_PIXELS))
-    enough = len(f.rows) >= (1.0 - NEARLY_ALL) * len(right.rows)
+    enough = len(f.rows) >= (1.0 - NEARLY_ALL) * right.hit.sum()
+    groups = [right.take(each) for each in (right.hit, ~right.hit) if each.any()]
     for mistake in table:
         whole = mistake.claim == IMAGE
-        if (whole and not _explains_hits(few, mistake.predicts(few))) or (mistake.claim > SURFACES and not enough):
+        if whole and not (enough and _explains_hits(few, mistake.predicts(few))):
             continue
         fits = mistake.predicts(f)
         if not fits.any() or (whole and not _explains_hits(f, fits)):
             continue
-        if mistake.claim == NOTHING or not len(right.rows) or mistake.predicts(right).mean() >= NEARLY_ALL:
+        if mistake.claim == NOTHING or all(mistake.predicts(each).mean() >= NEARLY_ALL for each in groups):
             yield mistake, fits
 
 
@@ -143,16 +168,6 @@ def _explains_hits(f: WrongPixels, fits: Array) -> bool:
     """Whether nearly all wrong pixels fit, and not misses alone."""
     hits = fits[f.given_hit]
     return bool(fits.mean() >= NEARLY_ALL and hits.sum() >= max(NEARLY_ALL * len(hits), MIN_FITTED_PIXELS))
-
-
-def _decisive_first(count: int, kept: Iterator[Explanation]) -> Iterator[Explanation]:
-    """All explanations; the first mistake that explains nearly all of `count` pixels comes before the others."""
-    tried: list[Explanation] = []
-    for mistake, fits in kept:
-        if fits.sum() >= max(NEARLY_ALL * count, 1 if mistake.single else MIN_FITTED_PIXELS):
-            return chain([(mistake, fits)], tried, kept)
-        tried.append((mistake, fits))
-    return iter(tried)
 
 
 # ---- hit, miss and t
@@ -166,7 +181,7 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     yield _quantity(
         "distance in place of t, which counts in lengths of d",
         "divide the distance by |d|, or leave d as it is given",
-        lambda g: (norm(g.d) * g.t, norm(g.d)),
+        lambda g: norm(g.d) * g.t,
         single=True,
     )
     if camera.type != "ray":
@@ -174,13 +189,13 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
         yield _quantity(
             "depth along z, the view axis, in place of t along the ray",
             "divide by the cosine of the ray with the view axis; of an image: --depth z",
-            lambda g: (unit(g.d) @ axis * g.t, unit(g.d) @ axis),
+            lambda g: unit(g.d) @ axis * g.t,
         )
     yield from _fitted_quantities(f)
-    if _claims_float64(f):
+    if not answer.exact_visibility:
         yield from _other_numbers(f)
-    yield from _image_orders(f.judge.pair.shape, is_list)
     if not is_list:
+        yield from _image_orders(f.judge.pair.shape)
         yield from (_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
     yield from SELECTIONS
     yield from _other_rays()
@@ -192,40 +207,45 @@ OUT_OF_RANGE = (
         "leave out hits with t <= t_min",
         lambda g: g.given_t < g.judge.t_min[g.rows],
         single=True,
+        elsewhere=True,
     ),
     Mistake(
         "a hit beyond t_max, where the ray ends",
         "leave out hits with t > t_max",
         lambda g: (g.given_t > g.judge.t_max[g.rows]) & np.isfinite(g.given_t),
         single=True,
+        elsewhere=True,
     ),
 )
 
 
-def _claims_float64(f: WrongPixels) -> bool:
-    """Of a candidate; ours is in float64."""
-    return f.judge.answer.precision == FLOAT64 and not f.judge.answer.exact_visibility
+def _in_float32(predicts: Predicts) -> Mistake:
+    return Mistake(
+        "computed in float32: right by float32's bounds, and given as float64",
+        "compute in float64, or state --candidate-precision float32",
+        predicts,
+        single=True,
+    )
 
 
-IN_FLOAT32 = "computed in float32: right by float32's bounds, and given as float64"
-FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
-
-
-def _of_nearly_all(fits: Array) -> Array:
-    """(m,) bool: the pixels that a mistake fits, if these are nearly all."""
-    return fits & (fits.mean() >= NEARLY_ALL)
-
-
-def _as_in_float32(error: Array, bound: Array) -> Array:
-    """(m,) bool: errors within float32's bounds, if most of them are as large as float32 makes them."""
+def _is_rounding(error: Array, bound: Array) -> Array:
+    """(m,) bool: errors within the bounds of a rounding, if these are nearly all, and most are as large as it makes."""
     ratio = np.abs(error) / bound
-    fits = _of_nearly_all(ratio <= 1.0)
-    return fits & bool(fits.any() and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
+    fits = ratio <= 1.0
+    return fits & bool(fits.mean() >= NEARLY_ALL and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
+
+
+def _is_rounding_of_t(g: WrongPixels, bound: Array) -> Array:
+    """(m,) bool: the same for t at the right surface. Rounding has both signs: of few pixels, all may have one."""
+    error = np.where(g.given_hit & g.hit, g.given_t - g.t, np.inf)
+    before, behind = (error < 0.0).mean(), (error > 0.0).mean()
+    return _is_rounding(error, bound) & bool(min(before, behind) >= 1.0 - NEARLY_ALL or len(error) < FEW_PIXELS)
 
 
 def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     """t at the right surface, of other numbers than those that are traced, or with the rounding of others."""
-    described = described_model(f.judge.scene) if f.judge.pair.rays.is_list else None
+    answer = f.judge.answer
+    described = described_model(f.judge.scene) if f.judge.pair.rays.is_list and answer.precision == FLOAT64 else None
 
     def of_described(g: WrongPixels) -> Array:
         at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, KU_OURS, ours=True)
@@ -233,13 +253,8 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
 
     def of_points(g: WrongPixels) -> Array:
         length = norm(g.d)
-        rounding = KU_OURS * (norm(g.o) + np.abs(g.t) * length) / length
-        near = np.abs(g.given_t - g.t) <= rounding + g.at.t_error
-        return _of_nearly_all(g.given_hit & g.hit & near)
-
-    def in_float32(g: WrongPixels) -> Array:
-        bound = g.at.t_error * (KU / KU_OURS) + g.t_rounding
-        return _as_in_float32(np.where(g.given_hit & g.hit, g.given_t - g.t, np.inf), bound)
+        rounding = answer.ku * (norm(g.o) + np.abs(g.t) * length) / length
+        return _is_rounding_of_t(g, rounding + g.at.t_error + g.t_rounding)
 
     if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
         yield Mistake(
@@ -247,7 +262,6 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
             "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that",
             of_described,
             single=True,
-            same_surface=True,
         )
         return
     yield Mistake(
@@ -255,120 +269,120 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
         "return the t of the intersection, not that of the hit point",
         of_points,
         single=True,
-        same_surface=True,
     )
-    yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
+    if answer.precision == FLOAT64:
+        yield _in_float32(lambda g: _is_rounding_of_t(g, g.at.t_error * (KU / KU_OURS) + g.t_rounding))
 
 
-Quantity = Callable[[WrongPixels], tuple[Array, Array | float]]  # (its values, its change with t)
-
-
-def _quantity(what: str, remedy: str, values: Quantity, claim: int = NOTHING, *, single: bool = False) -> Mistake:
-    """Another quantity in place of t."""
+def _quantity(what: str, remedy: str, values: Predicts, claim: int = NOTHING, *, single: bool = False) -> Mistake:
+    """Another quantity, (m,) values, in place of t; their error is in proportion to t's."""
 
     def predicts(g: WrongPixels) -> Array:
-        t, slope = values(g)
-        return g.right_under(g.hit, t, g.at.t_error * np.abs(slope)) & g.hit
+        t = values(g)
+        return g.right_under(g.hit, t, g.at.t_error * np.abs(t / g.t))
 
-    return Mistake(what, remedy, predicts, claim, single, same_surface=True)
+    return Mistake(what, remedy, predicts, claim, single)
+
+
+SEPARATED = 0.25  # of the bound: rounding alone makes errors of up to 0.2
 
 
 def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
-    """t plus or times a constant, the median over all pixels, and functions of t."""
+    """t plus or times a constant, or on moved surfaces, fitted to all pixels; and 1 / t.
+
+    None of the first three is named unless it leaves much less of the errors than the others.
+    """
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
         return
-    given, t = f.given_t[some], f.t[some]
-    offset, more = float(np.median(given - t)), float(np.median((given - t) / t))
-    left = [np.median(np.abs(given - fit) / f.at.t_error[some]) for fit in (t + offset, t + more * t)]
-    constant = f"{abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
+    g = f.take(some)
+    error = g.given_t - g.t
+    offset, more, shift = (float(np.median(each)) for each in (error, error / g.t, error * dot(g.at.n, g.d)))
     sign = "+" if more > 0.0 else "-"
     factor = f"(1 {sign} {abs(more):.3g})" if abs(more) < DISTINCT_RTOL else f"{1.0 + more:.7g}"
-    times = f"{factor} times what it should be"
-    if np.ptp(t) <= DISTINCT_RTOL * np.abs(t).max():  # nothing tells them apart
-        constant, times = f"{constant}, or {times}", f"{times}, or {constant}"
-    moved = _quantity(
-        f"t is {constant}", f"leave out the offset (an epsilon?) of {offset:.3g}", lambda g: (g.t + offset, 1.0), PIXELS
+    fitted: tuple[tuple[str, str, Predicts], ...] = (
+        (
+            f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant",
+            f"leave out the offset (an epsilon?) of {offset:.3g}",
+            lambda h: h.t + offset,
+        ),
+        (
+            f"t is {factor} times what it should be",
+            "look for a wrong unit, a scale or a length that is not 1",
+            lambda h: h.t + more * h.t,
+        )
+        if more != -1.0
+        else ("t is 0, whatever is hit", "return the t of what is ahead", lambda h: 0.0 * h.t),
+        (
+            f"each surface is moved along its normal by {shift:.3g}",
+            "use points and vertices as they are given",
+            lambda h: h.t + shift / dot(h.at.n, h.d),
+        ),
     )
-    scaled = _quantity(
-        f"t is {times}" if more != -1.0 else "t is 0, whatever is hit",
-        "look for a wrong unit, a scale or a length that is not 1" if more != -1.0 else "return the t of what is ahead",
-        lambda g: (g.t + more * g.t, 1.0 + more),
-        PIXELS,
-    )
-    yield from (scaled, moved) if left[1] < left[0] else (moved, scaled)
-    yield _quantity("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0))
+    bound = g.at.t_error + g.t_rounding + g.judge.answer.ku * np.abs(g.t)
+    left = [np.median(np.abs(g.given_t - fit(g)) / bound) for _, _, fit in fitted]
+    best, second = np.argsort(left)[:2]
+    if left[second] > SEPARATED and left[best] <= MAJORITY * left[second]:
+        what, remedy, fit = fitted[best]
+        yield _quantity(what, remedy, fit, SURFACES)
+    yield _quantity("1 / t in place of t", "return t itself", lambda h: np.reciprocal(h.t))
 
 
 # ---- pixels in other places
 
 
-def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
+def _image_orders(shape: tuple[int, int]) -> Iterator[Mistake]:
     """The whole image in another order: Mitsuba's answers at other pixels."""
-    h, w = shape
-    rows = np.arange(h * w).reshape(h, w)
-
-    def order(what: str, remedy: str, there: Array) -> Mistake:
-        """there: for each row, the row whose answer the subject gives."""
-
-        def predicts(g: WrongPixels) -> Array:
-            result, places = g.judge.result, there.ravel()[g.rows]
-            t = result.t.astype(np.float64)[places]
-            return g.right_under(result.hit[places], t, MATCH_RTOL * np.abs(t))
-
-        return Mistake(what, remedy, predicts, IMAGE)
-
-    if is_list:
-        for step in (1, -1):
-            yield order(
-                f"the answers are moved by {step} ray", "return them in the order of the rays", np.roll(rows, step)
-            )
-        return
-    yield order("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
-    yield order("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
-    yield order("the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1])
+    rows = np.arange(shape[0] * shape[1]).reshape(shape)
+    yield _ordered("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
+    yield _ordered("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
+    yield _ordered("the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1])
     for there in (rows.ravel(order="F"), np.argsort(rows.ravel(order="F"))):  # the same if the image is square
-        yield order("the image is transposed, x for y", "rows come first: index y * width + x", there)
-    for y, x in product((0, 1, -1), repeat=2):
-        if x or y:
-            yield order(
-                f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down",
-                "look for an index that counts from 1",
-                np.roll(rows, (y, x), (0, 1)),
-            )
+        yield _ordered("the image is transposed, x for y", "rows come first: index y * width + x", there)
+    for y, x in list(product((0, 1, -1), repeat=2))[1:]:
+        what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
+        yield _ordered(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
+
+
+def _ordered(what: str, remedy: str, there: Array) -> Mistake:
+    """there: for each row, the row whose answer the subject gives."""
+
+    def predicts(g: WrongPixels) -> Array:
+        result, places = g.judge.result, there.ravel()[g.rows]
+        t, t_error = result.t.astype(np.float64), g.judge.at.t_error
+        return g.right_under(result.hit[places], t[places], t_error[places])
+
+    return Mistake(what, remedy, predicts, IMAGE, elsewhere=True)
 
 
 # ---- other rays
 
 
-def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False, t_factor: float = 1.0) -> Array:
+def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False) -> Array:
     """(m,) bool: the subject gives the first (or last) of the roots, or a miss if there is none."""
-    ray, sign = roots.ray, -1.0 if last else 1.0
-    t, bound = roots.at.t * t_factor, roots.at.t_error * t_factor
+    ray, t, bound, sign = roots.ray, roots.at.t, roots.at.t_error, -1.0 if last else 1.0
     ahead = (t > g.judge.t_min[g.rows][ray]) & (t <= g.judge.t_max[g.rows][ray])
     certain = ahead & roots.at.certain
     first = np.full(len(g.rows), np.inf)
     np.minimum.at(first, ray[certain], sign * t[certain])
     in_turn = sign * t <= first[ray] + bound
-    each = g.take(ray)
-    matches = ahead & in_turn & each.right_under(np.ones(len(t), bool), t, bound)
+    matches = ahead & in_turn & g.take(ray).right_under(np.ones(len(t), bool), t, bound)
     found = ~g.given_hit
     found[ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
-    found[ray[matches & each.given_hit]] = True
+    found[ray[matches]] = True
     return found
 
 
 Lines = Callable[[WrongPixels], tuple[Array, Array]]  # (o, d) of the rays that are cast
 
 
-def _recast(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
-    """The first hits along other rays, with t times a factor."""
+def _recast(what: str, remedy: str, lines: Lines) -> Mistake:
+    """The first hits along other rays."""
 
     def predicts(g: WrongPixels) -> Array:
-        roots = g.judge.bracket.possible_hits(*lines(g), g.judge.t_max[g.rows] / t_factor)
-        return _right_among(g, roots, t_factor=t_factor)
+        return _right_among(g, g.judge.bracket.possible_hits(*lines(g), g.judge.t_max[g.rows]))
 
-    return Mistake(what, remedy, predicts, IMAGE)
+    return Mistake(what, remedy, predicts, IMAGE, elsewhere=True)
 
 
 def _beside_centers(x: float, y: float) -> Mistake:
@@ -390,9 +404,9 @@ def _beside_centers(x: float, y: float) -> Mistake:
 SAME = np.eye(3)
 
 
-def _mapped(what: str, remedy: str, o: Array, d: Array, t_factor: float = 1.0) -> Mistake:
+def _mapped(what: str, remedy: str, o: Array, d: Array) -> Mistake:
     """Origins and directions multiplied by matrices (3, 3) from the right."""
-    return _recast(what, remedy, lambda g: (g.o @ o, g.d @ d), t_factor)
+    return _recast(what, remedy, lambda g: (g.o @ o, g.d @ d))
 
 
 def _other_rays() -> Iterator[Mistake]:
@@ -412,8 +426,7 @@ def _other_rays() -> Iterator[Mistake]:
             f"the scene is {scale:g} times as large as it should be",
             "use vertices in the units of the rays",
             SAME / scale,
-            SAME,
-            scale,
+            SAME / scale,
         )
 
 
@@ -455,7 +468,7 @@ def _selection(what: str, remedy: str, kept: Predicts, *, last: bool = False, si
     def predicts(g: WrongPixels) -> Array:
         return _right_among(g, g.roots.take(kept(g)), last=last) & (g.hit | ~g.given_hit)
 
-    return Mistake(what, remedy, predicts, SURFACES, single)
+    return Mistake(what, remedy, predicts, SURFACES, single, elsewhere=True)
 
 
 def _culled(what: str, sign: float) -> Mistake:
@@ -499,50 +512,63 @@ SELECTIONS = (
 # ---- numbers of shapes and primitives
 
 
+def has_wrong_id(f: WrongPixels) -> Array:
+    """(m,) bool: a shape or primitive is named that is not hit."""
+    wrong: Array = (f.named != f.numbers_of(f.prim)).any(axis=0)
+    return wrong
+
+
 def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong numbers at right surfaces."""
-    hit, columns = f.judge.hit, id_columns(f.judge.answer, f.judge.model.packed)
-    named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
-    if len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
-        who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
+    hit, columns = f.judge.hit, f.columns
+    count = np.unique([ids[hit] for _, ids, _ in columns], axis=1).shape[1]
+    if count * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
+        who = "the same primitive is" if count == 1 else f"no more than {count} primitives are"
         yield Mistake(
             f"{who} named at all {hit.sum()} hits",
             "return the number of the primitive in the order of the scene, or leave the column out",
             lambda g: g.hit,
-            same_surface=True,
         )
-    for column in columns:
-        yield from _column_mistakes(*column)
-
-
-def _column_mistakes(name: str, ids: Array, number: Callable[[Array], Array]) -> Iterator[Mistake]:
-    """Of one column (judge/adjudication.py:id_columns)."""
-
-    def off_by(step: int, cure: str) -> Mistake:
-        return Mistake(
-            f"the {name}'s number is off by one ({step:+d})",
+    kinds: list[tuple[str, Callable[[int, WrongPixels], Array]]] = [
+        (f"{name}'s number", partial(_is_off_in_column, place)) for place, (name, *_) in enumerate(columns)
+    ]
+    kinds = [kinds[-1], ("primitive's number in the scene", _is_off_in_scene), *kinds[:-1]]
+    steps = [
+        Mistake(
+            f"the {what} is off by one ({step:+d})",
             f"numbers count from 0: {cure} 1",
-            lambda g: ids[g.rows] == number(g.prim) + step,
+            partial(predicts, step),
             SURFACES,
-            same_surface=True,
         )
-
-    yield off_by(1, "subtract")
-    yield off_by(-1, "add")
+        for step, cure in ((1, "subtract"), (-1, "add"))
+        for what, predicts in kinds
+    ]
+    yield from sorted(steps, key=lambda mistake: -mistake.predicts(f).sum())  # several may explain nearly all
     yield Mistake(
-        f"the {name}'s number is that of another surface along the ray, t that of the first",
+        f"the {columns[-1][0]}'s number is that of another surface along the ray, t that of the first",
         "keep the number together with the smallest t",
-        lambda g: (ids[g.rows] != number(g.prim)) & _names_another_hit(g),
-        same_surface=True,
+        _names_another_hit,
     )
+
+
+def _is_off_in_column(place: int, step: int, g: WrongPixels) -> Array:
+    """(m,) bool: one column has the right number plus `step`."""
+    off: Array = g.named[place] == g.numbers_of(g.prim)[place] + step
+    return off
+
+
+def _is_off_in_scene(step: int, g: WrongPixels) -> Array:
+    """(m,) bool: the primitive is named that is `step` behind the right one in the scene, or none after the last."""
+    other = np.where(g.prim + step < g.judge.model.packed.first[-1], g.prim + step, -1)
+    off: Array = (g.named == g.numbers_of(other)).all(axis=0)
+    return off
 
 
 def _names_another_hit(g: WrongPixels) -> Array:
     """(m,) bool: the same ray hits the named primitive at another t."""
     ray, at = g.roots.ray, g.roots.at
     other = np.abs(at.t - g.t[ray]) > g.at.t_error[ray] + at.t_error
-    for _, ids, number in id_columns(g.judge.answer, g.judge.model.packed):
-        other &= ids[g.rows][ray] == number(g.roots.prim)
+    other &= (g.named[:, ray] == g.numbers_of(g.roots.prim)).all(axis=0)
     found = np.zeros(len(g.rows), bool)
     found[ray[other]] = True
     return found
@@ -568,7 +594,7 @@ def _normal(what: str, remedy: str, predicted: Predicts, claim: int = NOTHING, *
         some = g.at.n[fits]
         return fits & (single or bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL))
 
-    return Mistake(what, remedy, predicts, claim, single, same_surface=True)
+    return Mistake(what, remedy, predicts, claim, single)
 
 
 def _mapped_normal(what: str, remedy: str, matrix: Array) -> Mistake:
@@ -593,14 +619,9 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
             "the normal is computed from corners minus the ray's origin, and lost digits there",
             "compute it from the edges of the face, or in float64",
             _is_of_corners_seen_from_the_origin,
-            same_surface=True,
         )
-    if _claims_float64(f):
-
-        def in_float32(g: WrongPixels) -> Array:
-            return _as_in_float32(row_distance(g.n, g.at.n), g.at.n_error * (KU / KU_OURS))
-
-        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
+    elif not f.judge.answer.exact_visibility:
+        yield _in_float32(lambda g: _is_rounding(row_distance(g.n, g.at.n), g.at.n_error * (KU / KU_OURS)))
 
 
 SINGLE_NORMALS = (
@@ -641,16 +662,12 @@ def _other_normals() -> Iterator[Mistake]:
     )
 
 
-# A choice: a mistake that names what is wrong leaves no more than so much of an error.
-MAX_SHARE_OF_ERROR_LEFT = 0.5
-
-
 def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> Array:
     """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
     corners = triangle_corners(g.judge, g.prim)
     seen = (corners.astype(np.float32) - g.o.astype(np.float32)[:, None]).astype(np.float64)
     left, error = row_distance(g.n, unit(area_vectors(seen))), row_distance(g.n, g.at.n)
-    return (left <= FIT_FACTOR * g.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
+    return (left <= FIT_FACTOR * g.at.n_error) & (left < MAJORITY * error)
 
 
 def triangle_corners(judge: Judge, prim: Array) -> Array:

@@ -25,7 +25,7 @@ from mitsuba_ref.judge.checks.bias import kind_biases
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import further_rays
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
-from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
+from mitsuba_ref.judge.diagnosis import Cause, diagnose, sentence_by_row
 from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -65,7 +65,7 @@ class Seen(NamedTuple):
 
     judge: Judge
     judgement: Judgement
-    diagnosis: Diagnosis
+    diagnosis: Sequence[Cause]
     wrong_rays: Sequence[AimedFailure]  # of the check `knife_edges`
 
 
@@ -164,7 +164,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
     judge, judgement, diagnosis, _ = seen
     pair, answer = judge.pair, judge.answer
     kinds = kind_counts(judgement, task.bounce) if task.bounce else {}
-    by_check, by_row, agreeing = failing_by_check(judgement), diagnosis.by_row(), judgement.is_class(AGREE)
+    by_check, by_row, agreeing = failing_by_check(judgement), sentence_by_row(diagnosis), judgement.is_class(AGREE)
     return _verdict_of(
         task,
         checks,

@@ -1,4 +1,4 @@
-"""One pixel, judged: the answer of every witness, bounds, every primitive that may be hit, and its secondary rays."""
+"""One pixel, judged: the answer of every witness, bounds, and its secondary rays."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -9,25 +9,22 @@ from caster.aovs import Aovs
 from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.checks.ray_conventions import further_rays
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
-from mitsuba_ref.judge.diagnosis import diagnose
+from mitsuba_ref.judge.diagnosis import diagnose, sentence_by_row
 from mitsuba_ref.judge.explanations import (
     exact_answer,
     exceeded_bounds,
     format_exact,
     full_reason,
-    not_judged,
     pixel_answers,
     tie_members,
 )
 from mitsuba_ref.judge.pipeline import Task
-from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED, UNLISTED, WRONG
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, UNDECIDED, UNLISTED, WRONG
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.verdict import CandidatePixel, PathRay, PixelVerdict, PossibleHit
+from mitsuba_ref.probe.verdict import CandidatePixel, PathRay, PixelVerdict
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, as_witness, witness_answers
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -73,18 +70,16 @@ def probe_with_evidence(
     exact = exact_answer(judge, judgement, 0)
     theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), timeout)
     witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
-    left = not_judged(judge, judgement, 0)
+    agrees = judge.hit[0] and judgement.is_class(AGREE)[0]  # elsewhere a share of 0 may mean that nothing was compared
     found = PixelVerdict(
-        **_class_of(judge, judgement, diagnose(judge, judgement).by_row()),
+        **_class_of(judge, judgement, sentence_by_row(diagnose(judge, judgement))),
         x=x,
         y=y,
         ray=_ray(pair.rays),
         ours=_answer(scene, pair.subject, pair.t),
         reference=_answer(scene, pair.reference, pair.result.t),
         exact=_exact(judge, exact),
-        ratios={name: float(judgement.ratios[name][0]) for name in judgement.ratios if name not in left},
-        not_judged=left,
-        possible=tuple(_possible(scene, judge)),
+        ratios={name: float(share) for name, (share,) in judgement.ratios.items() if share != 0.0 or agrees},
         versions=pair.result.answer.versions,
         witnesses=witnesses if theirs is None or theirs.witness is None else (theirs.witness, *witnesses),
         candidate=theirs,
@@ -126,16 +121,18 @@ def probe_candidate(
     shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
     exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
     diagnosis = diagnose(judge, judgement, further_rays(candidate, response.scene))
-    found = _class_of(judge, judgement, diagnosis.by_row(), row)
+    found = _class_of(judge, judgement, sentence_by_row(diagnosis), row)
     why = filter(None, (found["why"], exceeded_bounds(exceeded)))
-    found["why"] = "\n".join(["; ".join(why), *diagnosis.evidence_at(row)])
+    causes = [cause for cause in diagnosis if row in cause.rows or row in cause.alike]
+    evidence = filter(None, [text for cause in causes for text in (cause.where, cause.remedy)])
+    found["why"] = "\n".join(["; ".join(why), *evidence])
     if row in judgement.not_adjudicated and witness.right is False:  # but here it is adjudicated
         found["verdict"] = WRONG
     return CandidatePixel(
         **found,
         name=candidate.name,
         precision=judge.answer.precision,
-        says=_answer_record(judge, row),
+        says=_answer(judge.scene, judge.pair.subject, judge.answer.t, row),
         notes=(*judge.answer.notes, *response.limits),
         witness=witness,
     )
@@ -150,13 +147,6 @@ def window_of(candidate: Subject, scene: Scene, x: int, y: int) -> Scene:
         if x0 <= x < x1 and y0 <= y < y1:
             break
     return window
-
-
-def _answer_record(judge: Judge, row: int) -> dict[str, Any]:
-    """The answer for JSON; the normal has length 1, or is NaN where it was not finite."""
-    aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[row]), float(judge.answer.t[row])
-    names = [name for name in ("depth", "normal") if name in aovs and (hit or name == "depth")]
-    return {"hit": hit, "t": t} | {name: aov_rows(aovs, name)[row].tolist() for name in names}
 
 
 # ---- secondary rays
@@ -175,7 +165,7 @@ def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> I
             yield PathRay(path=paths[0], verdict=UNDECIDED, problem=judge.message)
             return
         judgement = judge.judge()
-        diagnosed = diagnose(judge, judgement).by_row()
+        diagnosed = sentence_by_row(diagnose(judge, judgement))
         for path, row in zip(paths, film.row.tolist(), strict=True):
             answers = pixel_answers(judge, judgement, row, EXACT)
             yield PathRay(**_class_of(judge, judgement, diagnosed, row), path=path, answers=answers)
@@ -193,24 +183,20 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
     if answer is None:
         return {}
     scene, packed = judge.scene, judge.model.packed
-    ties = [each._asdict() for each in tie_members(scene, packed, answer)]
+    names = "shape", "prim", "where"
+    ties = [dict(zip(names, each, strict=True)) for each in tie_members(scene, packed, answer)]
     return {"hit": answer.hit, "t": answer.distance, "ties": ties, "text": format_exact(scene, packed, answer)}
 
 
-def _answer(scene: Scene, aovs: Aovs, t: Array) -> dict[str, Any]:
-    shape = int(aov_rows(aovs, "shape_id")[0])
-    values = {name: _numbers(aov_rows(aovs, name)[0]) for name in COMPARED_AOVS if name != "shape_id" and name in aovs}
-    return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}
-
-
-def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
-    """All primitives that the reference may hit, nearest first."""
-    found = judge.reference_bracket.possible_hits(*judge.reference_lines)
-    certain = np.isfinite(latest_hits(found, judge.reference_lines[2]))
-    surfaces = named_prims(scene, judge.model.packed, found.prim)
-    for i in np.argsort(found.at.t, kind="stable"):
-        shape, prim = surfaces[i]
-        yield PossibleHit(shape, prim, float(found.at.t[i]), float(found.at.t_error[i]), bool(certain[i]))
+def _answer(scene: Scene, aovs: Aovs, t: Array, row: int = 0) -> dict[str, Any]:
+    """One side's answer for JSON; a candidate may name no shape."""
+    hit = bool(aovs.hit.ravel()[row])
+    shape = int(aov_rows(aovs, "shape_id")[row]) if "shape_id" in aovs else -1
+    name = scene.shape_names()[shape] if shape >= 0 else "a hit" if hit else "miss"
+    values = {
+        name: _numbers(aov_rows(aovs, name)[row]) for name in COMPARED_AOVS if name != "shape_id" and name in aovs
+    }
+    return {"hit": hit, "shape": name, "t": _numbers(t[row]), **values}
 
 
 def _numbers(values: Any) -> Any:

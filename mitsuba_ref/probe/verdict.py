@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 from caster.system.terminal import folded
+from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.judge.verdict import AGREE, FAILING, UNLISTED, json_number
-from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_lines
+from mitsuba_ref.probe.witnesses import WIDEST_NAME, WitnessAnswer, witness_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,17 +44,6 @@ class PathRay(Explained):
     answers: tuple[str, ...] = ()  # as text: the subject's, the reference's, the exact one
 
 
-@dataclass(frozen=True)
-class PossibleHit:
-    """A primitive that the ray may hit in float32, and where."""
-
-    shape: str
-    prim: int  # within its shape
-    t: float
-    t_error: float
-    certain: bool
-
-
 @dataclass(frozen=True, kw_only=True)
 class PixelVerdict(Explained):
     """The verdict on one pixel, and its reasons."""
@@ -65,8 +55,6 @@ class PixelVerdict(Explained):
     reference: dict[str, Any] = field(default_factory=dict)
     exact: dict[str, Any] = field(default_factory=dict)
     ratios: dict[str, float] = field(default_factory=dict)  # error over bound, of what was judged
-    not_judged: dict[str, str] = field(default_factory=dict)  # the rest, and why
-    possible: tuple[PossibleHit, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
     candidate: CandidatePixel | None = None  # if one was requested
@@ -98,8 +86,6 @@ def _json_value(value: Any) -> Any:
 
 # ---- for a terminal
 
-MAX_PRIMS_SHOWN = 12  # primitives; --json has all
-
 
 def as_text(found: PixelVerdict, path: str, *, brief: bool = False) -> str:
     """The verdict as text for a terminal. brief: without the numbers behind it."""
@@ -123,10 +109,11 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
     for name, value in found.ray.items():
         yield from _value_lines(name, value)
     yield "\nt, in lengths of d"
-    yield from t_lines(found.witnesses)
+    hits = [each for each in found.witnesses if math.isfinite(each.t)]
+    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in hits)
     sides: dict[str, Mapping[str, Any]] = {"ours": found.ours, "reference": found.reference}
     sides |= {"candidate": found.candidate.says} if found.candidate else {}
-    for name in [name for name in found.ours if name not in ("shape", "t")]:
+    for name in [name for name in found.ours if name not in ("hit", "shape", "t")]:
         yield f"\n{name}"
         for who, values in sides.items():
             if name in values:
@@ -134,14 +121,6 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
     yield "\nshare of each bound that our error uses"
     for name, ratio in found.ratios.items():
         yield f"  {name:<16}{ratio:.3g}" if math.isfinite(ratio) else f"  {name:<16}no bound allows this"
-    for name, why in found.not_judged.items():
-        yield f"  {name:<16}not judged: {why}"
-    yield "\nprimitives that may be hit in float32, t and how far it may be off"
-    for each in found.possible[:MAX_PRIMS_SHOWN]:
-        mark = "certain" if each.certain else ""
-        yield f"  {each.t!r:<22} +- {each.t_error:<10.3g} {each.shape}, prim {each.prim} {mark}".rstrip()
-    if len(found.possible) > MAX_PRIMS_SHOWN:
-        yield f"  and {len(found.possible) - MAX_PRIMS_SHOWN} more (--json lists them)"
     yield f"\nreference: {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
 
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
 from mitsuba_ref.judge.classification import EXACT, Judge
 from mitsuba_ref.judge.comparison import reference_prims
-from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 CANDIDATE = "candidate"
 WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
@@ -45,8 +45,8 @@ class WitnessAnswer:
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """The answers of all witnesses. judge: of a window of one pixel."""
-    ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
-    rows = [compared_with_exact(ours, judge, answer, np.float64)]
+    surface, t = surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0])
+    rows = [compared_with_exact(WitnessAnswer("ours", *surface, t, format=FLOAT64), judge, answer)]
     if answer is not None:
         rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), answer.distance, right=True))
     return (*rows, *_of_mitsuba(judge, answer))
@@ -70,7 +70,7 @@ def _of_mitsuba(judge: Judge, exact: ExactAnswer | None) -> Iterator[WitnessAnsw
             yield WitnessAnswer(who, problem=f"no answer ({found.exit}): {found.headline}")
             continue
         surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
-        yield compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
+        yield compared_with_exact(WitnessAnswer(who, *surface, float(found.t[0]), format=FLOAT32), judge, exact)
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
@@ -80,17 +80,14 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
     return named_prims(judge.scene, judge.model.packed, np.array([prim]))[0]
 
 
-def compared_with_exact(
-    claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
-) -> WitnessAnswer:
-    """An answer compared with the exact one. kind: the type that it was computed in."""
-    witness = WitnessAnswer(*claimed, format=np.dtype(kind).name)
+def compared_with_exact(witness: WitnessAnswer, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
+    """An answer of ours (float64) or Mitsuba (float32) compared with the exact one."""
     if exact is None:
         return witness
     surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
-    if claimed[1:3] not in surfaces:
+    if (witness.shape, witness.prim) not in surfaces:
         return replace(witness, right=False)
-    ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
+    ours, prim, t = witness.format == FLOAT64, np.array([exact.prim]), np.array([witness.t])
     at = intersections_at(judge.model, prim, judge.o, judge.d, t, KU_OURS if ours else KU, ours=ours)
     found = with_error_of_t(witness, exact, at.t_error)
     return replace(found, right=found.share is None or found.share <= 1.0)
@@ -130,23 +127,14 @@ def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: Array) -
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
     """A table for a terminal, without the exact answer; empty for a pixel without a ray."""
     shown = [each for each in found if each.who != EXACT]
-    surface = max((len(_surface_text(each)) for each in shown), default=0)
-    for each in shown:
+    surfaces = [f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape for each in shown]
+    width = max(map(len, surfaces), default=0)
+    for each, surface in zip(shown, surfaces, strict=True):
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
-        verdict = "allowed" if _is_loose(each) else verdict
-        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}  {_error_text(each)}"
+        answer = f"{verdict:<7}  {surface:<{width}}  {_error_text(each)}"
         yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
     if any(each.problem == MISSING for each in found):
         yield f"  {MISSING}: {variants.usable_variants().why}"
-
-
-def t_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
-    """t of each that hits, in decimal and to the bit."""
-    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in found if np.isfinite(each.t))
-
-
-def _surface_text(each: WitnessAnswer) -> str:
-    return f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape
 
 
 def _error_text(each: WitnessAnswer) -> str:
@@ -154,14 +142,7 @@ def _error_text(each: WitnessAnswer) -> str:
     parts = []
     if each.ulps is not None:
         parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
-    if _is_loose(each) and each.off:
-        parts.append(f"allowed: t is off by {100.0 * abs(each.off / each.t):.2g} %")
     for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
         if share is not None and not share <= 1.0:
             parts.append(f"{what}{share:.3g}x its bound")
     return ", ".join((*parts, *filter(None, [each.remark])))
-
-
-def _is_loose(each: WitnessAnswer) -> bool:
-    """Whether t is right only because its bound is loose."""
-    return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))

@@ -132,9 +132,7 @@ def write_reproducers(
     is_list = judge.pair.rays.is_list
     if not (judge.names_prims or is_list):
         return (), 0
-    groups = (
-        {what: rows.tolist() for what, rows in seen.diagnosis.rows_of.items()} if is_list else rows_by_case(judgement)
-    )
+    groups = {cause.what: cause.rows.tolist() for cause in seen.diagnosis} if is_list else rows_by_case(judgement)
     for label, rows in groups.items():
         for row in [row for row in rows if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]:
             x, y = pixel_of(judge.scene, row)

@@ -18,7 +18,8 @@ from caster.image.previews import aov_view
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
+from mitsuba_ref.judge.diagnosis import sentence_by_row
+from mitsuba_ref.judge.explanations import ALIKE_REASONS, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG, WRONG
 
@@ -172,10 +173,7 @@ def rows_without_loss(seen: Seen, classes: Array, hit: Array) -> Array:
     """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of all, and some all over
     the image, of those that agree and of those that do not."""
     worst = np.max([*seen.judgement.ratios.values()], axis=0)
-    chosen = [
-        *(rows[:1] for rows in seen.diagnosis.rows_of.values()),
-        np.argsort(-worst, kind="stable")[:WORST_WITHOUT_LOSS],
-    ]
+    chosen = [*(cause.rows[:1] for cause in seen.diagnosis), np.argsort(-worst, kind="stable")[:WORST_WITHOUT_LOSS]]
     agree = classes == CLASS_CODE[AGREE]
     for among, most in ((agree & (hit > 0), MAX_AGREEING_WITHOUT_LOSS), (~agree, MAX_OTHERS_WITHOUT_LOSS)):
         rows = np.flatnonzero(among)
@@ -197,14 +195,14 @@ def _classes(judgement: Judgement) -> Array:
 
 def _reasons(seen: Seen, classes: Array) -> Part:
     """The reason for the class of each pixel that does not agree, failing ones first."""
-    judge, judgement, by_row = seen.judge, seen.judgement, seen.diagnosis.by_row()
+    judge, judgement, by_row = seen.judge, seen.judgement, sentence_by_row(seen.diagnosis)
     rows = np.flatnonzero(classes != CLASS_CODE[AGREE])
     fails = (judgement.is_class(*FAILING) | (classes == UNLISTED_CODE))[rows]
     explained = rows[np.argsort(~fails, kind="stable")][:MAX_PIXELS_WITH_REASON]
     return {
         "rows": packed(explained.astype(np.int32)),
         **numbered(reason(judge, judgement, by_row, int(row)) for row in explained),
-        "always": {CLASSES.index(name): text for name, text in constant_reasons(judge).items()},
+        "always": {CLASSES.index(name): text for name, text in ALIKE_REASONS.items()},
     }
 
 

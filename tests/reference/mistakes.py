@@ -171,6 +171,25 @@ def from_points(scene, o, d, t, n):
     return np.where(np.isinf(t), t, ((p - o) * d).sum(axis=1) / (d * d).sum(axis=1)), n
 
 
+def from_float32_points(scene, o, d, t, n):
+    with np.errstate(invalid="ignore"):
+        p = (o + t[:, None] * d).astype(np.float32)
+    return np.where(np.isinf(t), t, length(p - o) / length(d)).astype(np.float32), n
+
+
+def moved_along_normals(scene, o, d, t, n):
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isinf(t), t, t + 1e-3 * length(n) / (n * d).sum(axis=1)), n
+
+
+def numbers_from_one(scene, o, d, t, n):
+    import caster
+
+    hits = caster.cast(scene, o, d)
+    first = np.cumsum([0, *(len(shape.mesh().faces) for shape in scene.shapes)])
+    return t, n, np.where(np.isinf(t), -1, first[hits.shape_id] + hits.prim_id + 1)
+
+
 def turned_at_some_faces(scene, o, d, t, n):
     import caster
 
@@ -195,8 +214,8 @@ def scene_of(name: str, folder: Path, width: int = 24, height: int = 18) -> Scen
     files = (folder / f"{name}-{i}.obj" for i in range(9))
     if name == "sphere around":
         camera = {"type": "fisheye", "eye": (0.3, 0.2, 0.5), "look_at": (0, 0, -9), "fov": 160}
-    if name == "far away":
-        camera |= {"eye": (4096.3, 0.2, 5.0), "look_at": (4096, 0, 0)}
+    if name.startswith("far"):
+        camera |= {"eye": (4096.3, 0.2, 5.0), "look_at": (4096, 0, 0), "fov": 40 if name == "far away" else 20}
     shapes = [mesh_file(next(files), *s) if isinstance(s, tuple) else s for s in MADE[name]]
     return Scene(film={"width": width, "height": height}, camera=camera, shapes=shapes)
 
@@ -219,13 +238,17 @@ def grid(z: Any, size: int = 8, x: float = 0.0) -> tuple[Any, Any]:
     return vertices, faces
 
 
+PLACES = [(0.3 * x, 0.4 * y) for x in range(-2, 3) for y in range(-2, 3)]
+CORNERS = ((-1, -1), (1, -1), (0, 1))
 MADE = {
     "layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in range(3)],
     "shuffled layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in (0, 2, 1)],
     "sphere around": [{"type": "sphere", "radius": 3.0}],
     "one-triangle": [([(-1, -1, 0), (1, -1, 0.2), (0, 1, 0.1)], [(0, 1, 2)])],
     "far away": [grid(lambda x, y: 0.3 * x * y + 0.1, x=4096.0)],
+    "far wall": [grid(lambda x, y: 0.3 * x * y + 0.1, x=4096.0)],
     "from above": [grid(lambda x, y: 0.1 * x * y)],
+    "pile": [([(x + a, y + b, 0) for x, y in PLACES for a, b in CORNERS], np.arange(3 * len(PLACES)).reshape(-1, 3))],
     "mixed": [grid(lambda x, y: max(0.0, 0.3 * x)), grid(lambda x, y: 0.1 * x * y - 0.7)],
 }
 
@@ -241,6 +264,11 @@ def normals_from_the_origin(scene, o, d, t, n):
         n = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
     n[np.isinf(t)] = 0.0
     return t.astype(np.float32), n
+
+
+def larger(*corners):
+    """About the centre of a triangle."""
+    return [sum(corners) / 3.0 + 1.05 * (corner - sum(corners) / 3.0) for corner in corners]
 
 
 def corners_of(scene):
@@ -340,6 +368,26 @@ MISTAKES = [
         answering(turned_at_some_faces),
         "torus-smooth",
         "the primitive's number in its shape is 7 modulo 10",
+    ),
+    Mistake(
+        "a moved plane", answering(moved_along_normals), "one-triangle", "  t is off: before what is hit, by 0.0002"
+    ),
+    Mistake("moved surfaces", answering(moved_along_normals), "torus-smooth", "moved along its normal by 0.001"),
+    Mistake("t of float32 points", answering(from_float32_points), "far away", "the rounding of a point's coordinates"),
+    Mistake(
+        "misses are NaN where no ray misses",
+        answering(lambda s, o, d, t, n: (np.where(np.isinf(t), np.nan, t), n)),
+        "far wall",
+        "ray_conventions: t is nan where nothing is hit; a miss has t inf",
+    ),
+    Mistake(
+        "numbers from 1", answering(numbers_from_one), FACES, "the primitive's number in the scene is off by one (+1)"
+    ),
+    Mistake(
+        "triangles too large",
+        edited(triangle=lambda self, *given: Caster.triangle(self, *larger(*given[:3]), *given[3:])),
+        "pile",
+        "beyond the outline of a triangle",
     ),
     Mistake("everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"),
 ]

@@ -20,7 +20,6 @@ from caster.scene.model import Scene
 from mitsuba_ref import shapes as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import AGREEING_PIXELS_ADJUDICATED, CLASS_CODE, Judge
-from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
 from mitsuba_ref.probe.pixel import probe_with_evidence
@@ -219,22 +218,7 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypa
     found = probe_with_evidence(scene, 0, 0)[0]
     assert (found.verdict, found.ok, found.exact) == ("wrong", False, right.exact)
     assert found.why.startswith("missed; exact arithmetic hits; beyond their bounds: ")
-    assert "same surface" in found.not_judged["diffuse"] and "diffuse" not in found.ratios
-    assert found.not_judged["depth"] == "Mitsuba alone hits" and "mask" in found.ratios
-
-
-def test_light_is_reported_as_not_judged_where_the_surface_is_wrong_or_another(cube):
-    """A share of 0 would look like agreement."""
-    before = cube.judge()
-    agree, tie = (int(np.flatnonzero(before.is_class(name))[0]) for name in ("agree", "tie"))
-    assert not_judged(cube, before, agree) == {}
-    assert "same surface" in not_judged(cube, before, tie)["diffuse"]
-    assert full_reason(cube, before, {}, agree) == "every quantity is within its bound"
-    aov_rows(cube.pair.subject, "position")[agree] += 1.0
-    wrong = Judge(cube.scene, cube.model, cube.pair)
-    after = wrong.judge()
-    assert after.ratios["diffuse"][agree] == 0.0
-    assert list(not_judged(wrong, after, agree)) == ["diffuse"]
+    assert not {"diffuse", "depth"} & set(found.ratios) and "mask" in found.ratios  # a share of 0 looks like agreement
 
 
 def test_what_cannot_be_decided_is_undecided(cube, monkeypatch):

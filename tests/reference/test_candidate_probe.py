@@ -66,7 +66,12 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
 @pytest.mark.parametrize("trace", [candidates.ours, candidates.ours_rounded, candidates.without_normals])
 def test_a_right_candidate_is_right_and_how_far_off_it_is_is_reported(at, trace):
     found = at(trace)
-    assert found.ok and found.verdict == "agree" and found.witness.right and "bounds" in found.why
+    assert (
+        found.ok
+        and found.verdict == "agree"
+        and found.witness.right
+        and found.why == "every quantity is within its bound"
+    )
     assert found.witness.share < 1.0 and abs(found.witness.ulps) < 2.0
     if trace is candidates.without_normals:
         assert found.witness.normal_share is None and "normal" not in found.says
@@ -115,7 +120,8 @@ def test_the_question_that_validate_asks_is_repeated(at, tmp_path):
     """Which epsilon it is, further rays show; and the separator of a cause that is none of a single pixel."""
     scene = mistakes.scene_of("torus-smooth", tmp_path)
     found = at(FunctionSubject("blind", mistakes.edited(determinant_epsilon=5.0)), (12, 9), scene)
-    assert found.verdict == WRONG and "\nis an epsilon larger than the determinants of" in found.why
+    assert found.verdict == WRONG and "is an epsilon larger than the determinants?" in found.why
+    assert "\nwhere hits are at distances of" in found.why and " with determinants of " in found.why
 
 
 def a_miss_is_a_number(scene, o, d):

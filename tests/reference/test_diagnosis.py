@@ -1,4 +1,7 @@
-"""The diagnosis of planted errors: every failing row has a cause, and what separates wrong pixels is found."""
+"""The diagnosis of planted errors: every failing row has a cause, and what separates wrong pixels is found.
+
+Each row of the table of mistakes is named by its own sentence, and not where right pixels contradict it.
+"""
 
 from dataclasses import replace
 
@@ -8,9 +11,12 @@ from mitsuba_scenes import scene_judge
 
 import caster
 from caster.scene.model import Scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
-from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, separators
+from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, sentence_by_row, separators
+from mitsuba_ref.judge.hypotheses import WrongPixels, explanations, mistakes, normal_mistakes
+from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Answer
 
@@ -51,9 +57,9 @@ def answering(judge: Judge, **change) -> Judge:
 def causes_of(judge: Judge):
     judgement = judge.judge()
     found = diagnose(judge, judgement)
-    assert sorted(found.by_row()) == failing_rows(judgement).tolist()
-    assert all(np.array_equal(cause.rows, np.unique(cause.rows)) for cause in found.causes)
-    return found.causes
+    assert sorted(sentence_by_row(found)) == failing_rows(judgement).tolist()
+    assert all(np.array_equal(cause.rows, np.unique(cause.rows)) for cause in found)
+    return found
 
 
 def shape_of(judge: Judge) -> np.ndarray:
@@ -83,7 +89,7 @@ def test_t_that_is_off_by_no_rule_is_described_by_its_range(right, sign, word):
     assert cause.what == words and cause.rows.tolist() == rows.tolist() and not cause.remedy
 
 
-def test_misses_in_place_of_hits_and_both_ways_of_t_are_causes_of_their_own(right):
+def test_misses_in_place_of_hits_are_a_cause_of_their_own_and_both_ways_of_t_one(right):
     rows = some_hits(right)
     t, n = right.answer.t.copy(), right.answer.n.copy()
     missed, before, behind = rows[::3], rows[1::3], rows[2::3]
@@ -93,8 +99,7 @@ def test_misses_in_place_of_hits_and_both_ways_of_t_are_causes_of_their_own(righ
     found = {cause.what.split(" what")[0]: cause.rows.tolist() for cause in causes_of(answering(right, t=t, n=n))}
     assert found == {
         "missed; exact arithmetic hits": missed.tolist(),
-        "t is off: before": before.tolist(),
-        "t is off: behind": behind.tolist(),
+        "t is off: before or behind": sorted([*before, *behind]),
     }
 
 
@@ -198,3 +203,89 @@ def test_a_threshold_needs_eight_wrong_pixels(right, agreed):
     nearest = np.argsort(right.answer.t, kind="stable")
     assert where(right, agreed, nearest[:8]).startswith("where t is below ")
     assert where(right, agreed, nearest[:7]) == ""
+
+
+# ---- the table of mistakes
+
+
+def pixels(judge: Judge, rows: np.ndarray) -> WrongPixels:
+    prim = judge.reference_prim[rows].astype(np.int64)
+    at = judge.near(rows, prim, judge.result.t[rows])
+    return WrongPixels(judge, rows, prim, np.where(prim >= 0, at.t, np.inf), at)
+
+
+def explained(judge: Judge) -> tuple[int, dict[str, int]]:
+    """(wrong pixels, sentence -> how many of them become right)."""
+    every = pixels(judge, np.arange(WIDTH * HEIGHT))
+    wrong, right = every.take(every.off), every.take(~every.off)
+    found = explanations(wrong, right, mistakes(wrong))
+    return len(wrong.rows), {mistake.what: int(fits.sum()) for mistake, fits in found}
+
+
+def image(t: np.ndarray) -> np.ndarray:
+    return t.reshape(HEIGHT, WIDTH)
+
+
+def cast_along(lines, factor=1.0):
+    """change(judge, t): t along other rays."""
+    return lambda judge, t: factor * caster.cast(judge.scene, *lines(judge.o, judge.d)).t
+
+
+def beside(x: float, y: float):
+    """change(judge, t): t through another place of the pixels."""
+
+    def change(judge, t):
+        at = (centers + step for centers, step in zip(pixel_centers(judge.scene), (x, y), strict=True))
+        rays = reference_of_camera(CAMERA).rays(CAMERA, judge.scene.film, *at)
+        return caster.cast(judge.scene, rays.o, rays.d).t
+
+    return change
+
+
+# What is said, unless right pixels contradict it -> what a caster does to t, beside the mistakes of mistakes.py.
+WHOLE = {
+    "t is -2 times what it should be": lambda judge, t: -2.0 * t,
+    "t is 1.005 times what it should be": lambda judge, t: 1.005 * t,
+    "t is (1 + 2e-06) times what it should be": lambda judge, t: (1.0 + 2e-6) * t,
+    "t is 2e-06 too large everywhere, a constant": lambda judge, t: t + 2e-6,
+    "t is 0, whatever is hit": lambda judge, t: 0.0 * t,
+    **{
+        f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down": (
+            lambda judge, t, x=x, y=y: np.roll(image(t), (y, x), (0, 1))
+        )
+        for x, y in ((1, 0), (-1, 1))
+    },
+    "rays beside the pixel centres, by (+0.00, -0.50) of a pixel to the right and down": beside(0.0, -0.5),
+    "the axes of directions are exchanged: (z, x, y) in place of (x, y, z)": cast_along(
+        lambda o, d: (o, d[:, [2, 0, 1]])
+    ),
+    "the axes of rays are exchanged: (z, y, x) in place of (x, y, z)": cast_along(
+        lambda o, d: (o[:, [2, 1, 0]], d[:, [2, 1, 0]])
+    ),
+    **{
+        f"the scene is {s:g} times as large as it should be": cast_along(lambda o, d, s=s: (o / s, d), s)
+        for s in (0.1, 0.5, 1000.0)
+    },
+}
+
+
+@pytest.mark.parametrize("what", WHOLE)
+def test_a_mistake_is_named_by_its_own_sentence_unless_right_pixels_contradict_it(right, what):
+    judge = right
+    t = np.ascontiguousarray(WHOLE[what](judge, judge.answer.t)).ravel()
+    count, found = explained(answering(judge, t=t))
+    assert count > 30 and found.get(what, 0) >= 0.95 * count, (found, count)
+    assert next(iter(found)) == what
+    half = np.arange(len(t)) % 16 < 8
+    assert what not in explained(answering(judge, t=np.where(half, t, judge.answer.t)))[1]
+
+
+def test_a_mistake_of_few_normals_is_not_named_by_chance(right):
+    judge = right
+    n, other = judge.answer.n[:, [1, 2, 0]], np.random.default_rng(9).normal(size=judge.answer.n.shape)
+    other /= np.linalg.norm(other, axis=1, keepdims=True)
+    for share, named in ((3, False), (1, True)):
+        some = (np.arange(len(n)) % share == 0)[:, None]
+        f = pixels(answering(judge, n=np.where(some, n, other)), np.flatnonzero(judge.result.hit))
+        found = [mistake.what for mistake, _ in explanations(f, f.take(np.zeros(0, int)), normal_mistakes(f))]
+        assert any("(y, z, x) in place of (x, y, z)" in what for what in found) is named

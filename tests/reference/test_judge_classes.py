@@ -15,7 +15,7 @@ from caster.aovs import Aovs
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
 from mitsuba_ref.judge.classification import Judge, Judgement
-from mitsuba_ref.judge.diagnosis import diagnose, failing_rows
+from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, sentence_by_row
 from mitsuba_ref.judge.explanations import open_reason
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -294,8 +294,8 @@ def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault)
     assert all(sorted(each) == rows.tolist() for each in by.values())
     assert all(np.isinf(found.ratios[name][rows]).all() for name in checks)
     diagnosis = diagnose(judge, found)
-    assert all(what in cause.what for cause in diagnosis.causes)
-    assert sorted(diagnosis.by_row()) == rows.tolist()
+    assert all(what in cause.what for cause in diagnosis)
+    assert sorted(sentence_by_row(diagnosis)) == rows.tolist()
     counts = class_counts(found, judge.pair.any_hit)
     assert counts[expected] == len(rows) and sum(counts.values()) == judge.pair.any_hit.sum() + (
         len(rows) if fault == "both miss" else 0
@@ -338,7 +338,7 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, off, reported
     assert sum(each.sum() for each in judge.inconsistent.values()) == len(rows)
     expected = f"our image contradicts our own hit: {reported}"
     assert {open_reason(judge, found, int(row)) for row in rows} == {expected}
-    assert [cause.what for cause in diagnose(judge, found).causes] == [expected]
+    assert [cause.what for cause in diagnose(judge, found)] == [expected]
     assert not judge.consistent[rows].any() and judge.consistent.sum() == len(judge.hit) - len(rows)
 
 
@@ -426,6 +426,6 @@ def test_an_answer_that_is_none_is_wrong_everywhere_it_stands(candidate):
     found = judge.judge()
     assert classes_at(found, rows) == {"wrong"} and found.is_class("wrong").sum() == len(rows)
     assert all(np.isinf(found.ratios[name][rows]).all() for name in found.ratios)
-    assert [(cause.what, cause.rows.tolist()) for cause in diagnose(judge, found).causes] == [
+    assert [(cause.what, cause.rows.tolist()) for cause in diagnose(judge, found)] == [
         ("no answer: t is planted", rows.tolist())
     ]

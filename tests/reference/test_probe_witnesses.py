@@ -89,15 +89,16 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
 
 @pytest.mark.parametrize(
     ("kind", "off", "right"),
-    [(np.float64, 1e-15, True), (np.float64, 1e-12, False), (np.float32, 1e-7, True), (np.float32, 1e-5, False)],
+    [("float64", 1e-15, True), ("float64", 1e-12, False), ("float32", 1e-7, True), ("float32", 1e-5, False)],
 )
 def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kind, off, right):
-    from mitsuba_ref.probe.witnesses import compared_with_exact, surface_of, witness_lines
+    from mitsuba_ref.probe.witnesses import WitnessAnswer, compared_with_exact, surface_of, witness_lines
 
     judge = scene_judge(caster.load_scene(probed / "edge.toml"))
     exact = judge.oracle.first_hit(judge.o[0], judge.d[0], t_max=judge.t_max[0])
     t = float(exact.t) * (1.0 + off)
-    saying = compared_with_exact(("somebody", *surface_of(judge, exact.prim), t), judge, exact, kind)
+    said = WitnessAnswer("somebody", *surface_of(judge, exact.prim), t, format=kind)
+    saying = compared_with_exact(said, judge, exact)
     assert saying.right is right and (saying.share <= 1.0) is right
     (line,) = witness_lines((saying,))
     assert ("WRONG" in line and "x its bound" in line) is not right

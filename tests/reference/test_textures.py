@@ -109,7 +109,7 @@ def test_colours_of_a_mesh_from_a_thousandth_of_an_edge_beside_the_corner_are_fo
     judge = scene_judge(scene)
     judgement = judge.judge()
     assert judgement.is_class("undecided", "wrong").mean() > 0.9
-    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement).causes)
+    assert all("contradicts our own hit: diffuse" in cause.what for cause in diagnose(judge, judgement))
     small, _ = reproducer(judge, int(np.flatnonzero(judgement.is_class("undecided", "wrong"))[0]), lit=True)
     assert [len(each.reflectance.vertices) for each in small.materials.values()] == [4], "of the whole mesh"
 

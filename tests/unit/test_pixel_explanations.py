@@ -7,7 +7,7 @@ import numpy as np
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.aggregate import defect_counts, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
-from mitsuba_ref.judge.diagnosis import Cause, Diagnosis, failing_rows
+from mitsuba_ref.judge.diagnosis import Cause, failing_rows, sentence_by_row
 from mitsuba_ref.judge.explanations import format_exact, full_reason, reason, tie_members
 
 INF = np.inf
@@ -96,8 +96,8 @@ def test_listed_failures_begin_with_one_of_each_cause(monkeypatch):
     ratio = np.array([5.0, 9.0, 7.0, 8.0, 2.0, 3.0, 6.0, 4.0, 1.5, 1.25, 1.2, 1.1])
     judgement = judgement_of(*["wrong"] * 12, ratios={"depth": ratio})
     second = Cause("b", np.array([1, 2, 3, 6, 7]), alike=np.array([8, 9, 10, 11]))
-    causes = Diagnosis((Cause("a", np.array([0, 4, 5])), second))
-    assert causes.by_row()[9] == "b (same symptom, not looked at)"
+    causes = Cause("a", np.array([0, 4, 5])), second
+    assert sentence_by_row(causes)[9] == "b (same symptom, not looked at)"
     ours, theirs = SimpleNamespace(names_prims=True), SimpleNamespace(names_prims=False)
     assert listed_failures(ours, judgement, causes) == (1, 0, 3, 2, 6, 7, 5, 4, 8, 9)
     assert listed_failures(theirs, judgement, causes) == (1, 0, 3, 2, 6, 7, 5, 4, 8, 9)

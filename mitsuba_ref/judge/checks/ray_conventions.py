@@ -56,12 +56,21 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
     wrong = np.flatnonzero(right.sum(axis=1, where=tells) < MAJORITY * tells.sum(axis=1))
     if not len(wrong):
         return 0.0, f"{len(groups) * tells[0].sum()} rays"
+    missed, amiss = tells & np.isposinf(t), tells & ~right
+    if (marked := marked_misses(given[missed])) and (amiss & missed).sum() >= NEARLY_ALL * amiss.sum():
+        return np.inf, marked
     cause = _cause(*(each[wrong][:, tells[0]] for each in (given, t, off, length)))
     for side, words in ((1.0, "back faces are missed"), (-1.0, "front faces are missed")):
         seen = tells & np.isfinite(t) & (side * slope > 0.0)
         if (seen & right).sum() <= (1.0 - NEARLY_ALL) * seen.sum() < seen.sum() and (right | seen | ~tells).all():
             cause = words
     return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
+
+
+def marked_misses(t: Array) -> str:
+    """A sentence about t (m,) along rays that hit nothing, if all are one number other than inf."""
+    marked = len(t) > 1 and not np.isposinf(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0, equal_nan=True)
+    return f"t is {t[0]:.7g} where nothing is hit; a miss has t inf" if marked else ""
 
 
 def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
