@@ -145,23 +145,21 @@ def test_a_killed_scheduler_ends_the_run_with_what_is_finished(jobs, monkeypatch
     assert found == [(10 + i) ** 2 for i in range(len(found))] and 20 <= len(found) < 500
 
 
-def test_a_worker_that_differs_is_refused(jobs):
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"SAME": "2"}, "its same is 2, expected 1"),
+        ({"threads": 2}, "a worker has 2 threads, expected one: --nthreads 1"),
+    ],
+)
+def test_a_worker_that_differs_is_refused(jobs, options, says):
     with (
-        scheduler(SAME="2") as (address, _),
+        scheduler(**options) as (address, _),
         Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster,
-        pytest.raises(ClusterError, match="its same is 2, expected 1"),
+        pytest.raises(ClusterError, match=says),
     ):
         list(outcomes_of(cluster, jobs, [1]))
     assert touched() == []
-
-
-def test_workers_of_several_threads_are_refused(jobs):
-    with (
-        scheduler(threads=2) as (address, _),
-        Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster,
-        pytest.raises(ClusterError, match="a worker has 2 threads, expected one: --nthreads 1"),
-    ):
-        list(outcomes_of(cluster, jobs, [1]))
 
 
 @pytest.mark.slow("starts clusters")

@@ -123,14 +123,6 @@ def test_a_mesh_that_is_missing_or_out_of_reach_is_an_error(tmp_path):
     assert "must lie in the scene's folder" in errors(tmp_path, text.replace("gone", "../gone"))[0]
 
 
-def test_a_file_that_is_no_text_or_not_there_is_reported(tmp_path):
-    (tmp_path / "s.txt").write_bytes(b"\xff\xfe")
-    with pytest.raises(SceneError, match="not UTF-8 text"):
-        load_course_scene(tmp_path / "s.txt", 1, 1)
-    with pytest.raises(FileMissing, match="No such file"):
-        load_course_scene(tmp_path / "gone.txt", 1, 1)
-
-
 def test_whatever_the_text_errors_are_errors_of_the_scene(tmp_path):
     """No text ends in anything else: words of a valid one are lost, doubled, swapped and replaced."""
     objects = "Transform { Scale 1 2 1 Rotate { 0 1 0 30 } Matrix { 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 } "
