@@ -74,16 +74,6 @@ def test_provenance_lives_under_caster(tmp_path):
     assert read_exr(tmp_path / "a.exr").provenance == expected
 
 
-def test_a_crop_is_stored_as_inclusive_boxes_and_comes_back(tmp_path):
-    write_exr(tmp_path / "a.exr", {"Z": ramp()}, data_window=(2, 1, 9, 6), display_window=(0, 0, 20, 10))
-    header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
-    assert np.array(header["dataWindow"]).tolist() == [[2, 1], [8, 5]]
-    assert np.array(header["displayWindow"]).tolist() == [[0, 0], [19, 9]]
-    read = read_exr(tmp_path / "a.exr")
-    assert (read.data_window, read.display_window) == ((2, 1, 9, 6), (0, 0, 20, 10))
-    assert_same_bits(ramp(), read.channels["Z"])
-
-
 @pytest.mark.parametrize(
     ("channels", "options", "words"),
     [
