@@ -8,7 +8,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from caster.system import NOT_HERE as _NOT_HERE
-from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
     from caster.aovs import Aovs as Aovs
@@ -67,7 +66,7 @@ _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.s
 if not TYPE_CHECKING:  # so that type checkers report misspelt names
 
     def __getattr__(name: str) -> Any:
-        if not _runs_here() and not name.startswith("__"):
+        if _NOT_HERE and not name.startswith("__"):
             raise ImportError(_NOT_HERE)
         if name in _HOMES:
             value = getattr(import_module(_HOMES[name]), name)

@@ -7,7 +7,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from caster.system import NOT_HERE as _NOT_HERE
-from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
     from caster.description.errors import SceneError
@@ -64,7 +63,7 @@ if not TYPE_CHECKING:  # a type checker has to find misspelt names
     def __getattr__(name: str) -> Any:
         if name not in _HOMES:
             raise AttributeError(f"module 'mitsuba_ref' has no attribute '{name}'")
-        if not _runs_here():
+        if _NOT_HERE:
             raise ImportError(_NOT_HERE)
         value = globals()[name] = getattr(import_module(_HOMES[name], "mitsuba_ref"), name)
         return value

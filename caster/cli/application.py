@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, NoReturn
 from caster import __version__
 from caster.cli.shared_arguments import checked_paths
 from caster.description.errors import suggestion
-from caster.system import NOT_HERE, runs_here, terminal
-from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, exit_codes_help, report_error, run_command
+from caster.system import NOT_HERE, terminal
+from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, report_error, run_command
 
 __all__ = ["Command"]
 
@@ -47,7 +47,7 @@ def main(
 
     argv: the words after the program's name, default those of this process. Only the command's own module is imported.
     """
-    if not runs_here():
+    if NOT_HERE:
         print(f"{name}: {NOT_HERE}", file=sys.stderr)
         return FILE
 
@@ -112,7 +112,7 @@ def build_parser(
 ) -> argparse.ArgumentParser:
     """The parser of a program. loaded: the commands whose arguments it needs, default all."""
     shared: dict[str, Any] = {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
-    exit_codes = _filled(exit_codes_help(codes))
+    exit_codes = _filled("exit codes: " + ", ".join(f"{code} {meaning}" for code, meaning in codes.items()))
     top = _Parser(name, description=_filled(about), epilog=exit_codes, **shared)
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)

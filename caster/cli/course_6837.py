@@ -76,7 +76,7 @@ def _depth_range(words: list[str]) -> tuple[float, float]:
     try:
         near, far = float(words[0]), float(words[1])
     except ValueError:
-        raise SceneError(f"-depth {' '.join(words)}: expected two numbers and a file name") from None
+        near = far = math.nan
     if not -math.inf < near < far < math.inf:
-        raise SceneError(f"-depth {' '.join(words)}: expected NEAR < FAR, two finite numbers")
+        raise SceneError(f"-depth {' '.join(words)}: expected two finite numbers NEAR < FAR, and a file name")
     return near, far

@@ -1,50 +1,59 @@
 """Inspection: the intersections of one pixel's ray with each primitive, and the work of a render."""
 
+import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from caster.geometry.packing import rejected_faces
 from caster.kernels.nearest import intersect_each
 from caster.rendering.bvh_construction import bvh_of, has_bvh
-from caster.rendering.hits import RayHits
 from caster.rendering.images import RenderResult, trace_film
 from caster.scene.model import Scene
 
-
-class PrimitiveResult(NamedTuple):
-    """The intersection of a ray with one primitive."""
-
-    t: float  # the exact first hit in range, rounded to float64; inf on a miss
-    shape_id: int
-    prim_id: int  # within its shape
-    error: float  # error bound of t in float64; inf where integers decided
+SURFACE = ("p", "n", "sh_n", "uv")  # names of RayHits.surfaces
 
 
-class Probe(NamedTuple):
-    """The ray through a pixel's centre and its hits."""
-
-    view: RayHits  # the one ray, d of length 1, t_max < 0 where the camera has none; and its hit, as `render` finds it
-    alone: list[PrimitiveResult]  # by t: primitives that the ray hits, tested alone, or that float64 cannot decide
-
-
-def probe(scene: Scene, x: int, y: int) -> Probe:
+def probe(scene: Scene, x: int, y: int) -> dict[str, Any]:
     """Cast the ray of one pixel, once as `render` does and once at each primitive without culling.
 
+    For JSON, whose numbers are exact. ray: None where the camera has none. hit: what `render` finds. alone: by t, the
+    primitives that the ray hits, or that float64 cannot decide; t is exact and rounded to float64, None on a miss, and
+    t_off its error bound in float64, None where integers decided.
     Raises SceneError for a pixel outside the film.
     """
     view = trace_film(scene.with_pixel(x, y), threads=1)
-    packed, alone = view.packed, list[PrimitiveResult]()
-    for kind in packed.kinds if view.rays.t_min[0] < view.rays.t_max[0] else ():
+    o, d, t_min, t_max = (numbers[0].tolist() for numbers in view.rays)
+    packed, names = view.packed, scene.shape_names()
+
+    def at(t: float, shape_id: int, prim_id: int) -> dict[str, Any]:
+        kind = scene.shapes[shape_id].type
+        return {"shape": names[shape_id], "type": kind, "shape_id": shape_id, "prim_id": prim_id, "t": _finite(t)}
+
+    hit = None
+    if view.hit[0]:
+        hit = at(float(view.nearest.t[0]), int(view.shape_id[0]), int(view.prim_id[0]))
+        hit |= {name: rows[0].tolist() for name, rows in zip(SURFACE, view.surfaces.values(), strict=True)}
+    alone: list[tuple[float, int, int, float]] = []
+    for kind in packed.kinds if t_min < t_max else ():
         count = len(kind.ids)
         t, error = np.full(count, np.inf), np.zeros(count)
         intersect_each(kind.prims, np.arange(count), view.rays, t, error, 0, count)
         shown = np.isfinite(t) | np.isinf(error)
         ids = kind.ids[shown]
         columns = t[shown], packed.shape_of(ids), packed.index_in_shape(ids), error[shown]
-        alone += map(PrimitiveResult, *(column.tolist() for column in columns))
-    return Probe(view, sorted(alone))
+        alone += zip(*(column.tolist() for column in columns), strict=True)
+    return {
+        "ray": {"o": o, "d": d, "t_min": t_min, "t_max": _finite(t_max)} if t_max >= 0.0 else None,
+        "hit": hit,
+        "tried": {"prims": int(packed.first[-1]), "shapes": len(scene.shapes)},
+        "alone": [{**at(t, shape_id, prim_id), "t_off": _finite(e)} for t, shape_id, prim_id, e in sorted(alone)],
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
 
 
 # ---- the work of a render ----

@@ -13,11 +13,9 @@ from caster.description.errors import error_prefix
 from caster.system.process import OK
 
 if TYPE_CHECKING:
-    from caster.cli.inspection import Probe
     from caster.scene.model import Scene
 
 MAX_LISTED = 8  # primitives in the text; --json lists all
-SURFACE = ("p", "n", "sh_n", "uv")  # names of RayHits.surfaces
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,45 +29,15 @@ def run(args: argparse.Namespace) -> int:
     scene = load(args)
     from caster.cli.inspection import probe
 
+    found = {"scene": args.scene, "pixel": [args.x, args.y], "film": [scene.film.width, scene.film.height]}
     with error_prefix(args.scene):
-        found = probe_to_json(probe(scene, args.x, args.y), scene, args)
+        found |= probe(scene, args.x, args.y)
     print(json.dumps(found, indent=2) if args.json else "\n".join(text_lines(found, scene)))
     return OK
 
 
-def probe_to_json(found: Probe, scene: Scene, args: argparse.Namespace) -> dict[str, Any]:
-    """A probe for JSON, whose numbers are exact. null: no limit of t, or a miss."""
-    view = found.view
-    o, d, t_min, t_max = (numbers[0].tolist() for numbers in view.rays)
-    hit = None
-    if view.hit[0]:
-        hit = _hit(scene, int(view.shape_id[0]), int(view.prim_id[0]), float(view.nearest.t[0]))
-        hit |= {name: rows[0].tolist() for name, rows in zip(SURFACE, view.surfaces.values(), strict=True)}
-    return {
-        "scene": args.scene,
-        "pixel": [args.x, args.y],
-        "film": [scene.film.width, scene.film.height],
-        "ray": {"o": o, "d": d, "t_min": t_min, "t_max": _finite(t_max)} if t_max >= 0.0 else None,
-        "hit": hit,
-        "tried": {"prims": int(view.packed.first[-1]), "shapes": len(scene.shapes)},
-        "alone": [
-            {**_hit(scene, shape_id, prim_id, t), "t_off": _finite(error)}
-            for t, shape_id, prim_id, error in found.alone
-        ],
-    }
-
-
-def _hit(scene: Scene, shape_id: int, prim_id: int, t: float) -> dict[str, Any]:
-    name, kind = scene.shape_names()[shape_id], scene.shapes[shape_id].type
-    return {"shape": name, "type": kind, "shape_id": shape_id, "prim_id": prim_id, "t": _finite(t)}
-
-
-def _finite(number: float) -> float | None:
-    return number if math.isfinite(number) else None
-
-
 def text_lines(found: dict[str, Any], scene: Scene) -> Iterator[str]:
-    """The dict of probe_to_json() as text."""
+    """The same as text."""
     (x, y), (width, height), ray, hit = found["pixel"], found["film"], found["ray"], found["hit"]
     yield f"pixel ({x}, {y}) of {found['scene']}, film {width} x {height}"
     if ray is None:
@@ -83,8 +51,9 @@ def text_lines(found: dict[str, Any], scene: Scene) -> Iterator[str]:
     else:
         yield f"hit    {_name(hit, scene)}"
         yield from _vector("       t", [hit["t"]])
-        for name in SURFACE:
-            yield from _vector(f"       {name}", hit[name])
+        for name, numbers in hit.items():
+            if isinstance(numbers, list):
+                yield from _vector(f"       {name}", numbers)
     alone = found["alone"]
     yield f"alone  {len(alone)} of {found['tried']['prims']} primitives are hit, or not decided by float64"
     for tried in alone[:MAX_LISTED]:

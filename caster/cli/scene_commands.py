@@ -109,24 +109,21 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_check(args: argparse.Namespace) -> int:
     """Print one line for a valid scene, all errors of an invalid one. 2 if any is invalid, 4 if any is missing."""
-    codes = {check_file(scene, args.mesh_dir) for scene in args.scenes}
-    return next(code for code in (USAGE, FILE, OK) if code in codes)
-
-
-def check_file(path: str, mesh_dirs: list[str]) -> int:
-    """Validate one scene file with its meshes and print the outcome; its exit code."""
     from caster.geometry.packing import in_words
     from caster.scene.files import load_scene
 
-    try:
-        scene = load_scene(path, mesh_dirs)
-        with error_prefix(path):
-            never_hit = in_words(scene)  # of packed shapes: some errors appear only in world space
-    except SceneError as error:
-        print(folded(str(error)))
-        return error.exit_code
-    print(f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else ""))
-    return OK
+    codes = set()
+    for path in args.scenes:
+        try:
+            scene = load_scene(path, args.mesh_dir)
+            with error_prefix(path):
+                never_hit = in_words(scene)  # of packed shapes: some errors appear only in world space
+        except SceneError as error:
+            print(folded(str(error)))
+            codes.add(error.exit_code)
+            continue
+        print(f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else ""))
+    return next((code for code in (USAGE, FILE) if code in codes), OK)
 
 
 def print_schema(args: argparse.Namespace) -> int:

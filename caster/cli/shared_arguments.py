@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
-from caster.system.atomic_files import OutputError, check_folder, check_writable, locked
+from caster.jit.kernel_cache import claim
+from caster.system.atomic_files import OutputError, check_folder, check_writable
 
 __all__ = [
     "AOV_NAMES",
@@ -164,7 +165,7 @@ def scene_files(paths: Iterable[str]) -> list[str]:
     for path_text in paths:
         path = Path(path_text)
         if path.is_dir():
-            found += [str(file) for file in sorted(path.iterdir()) if file.suffix.lower() in SUFFIXES]
+            found += _scene_files_in(path_text)
         elif path.is_file():
             found.append(path_text)
         else:
@@ -230,7 +231,7 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
     """
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
     sources = (value for _, value in given if isinstance(value, InputPath))
-    inputs = {_file_id(file) for source in sources for file in (source, *_scene_files_in(source))}
+    inputs = {_file_id(file) for source in sources for file in [source, *_scene_files_in(source)]}
     option_of: dict[str, str] = {}  # by the path of its output
     with contextlib.ExitStack() as stack:
         for name, path in given:
@@ -254,17 +255,17 @@ def _own_folder(folder: Path) -> Iterator[None]:
     """Create and lock an output folder; remove it again if nothing was written."""
     created = not folder.exists()
     check_folder(folder)
-    with locked(folder) as alone:
-        if not alone:
-            raise OutputError(
-                f"{folder}: another run writes into this folder: wait for its end, or name another folder"
-            )
-        try:
+    try:
+        with claim(folder / ".mitsuba-ref", wait=False) as alone:
+            if not alone:
+                raise OutputError(
+                    f"{folder}: another run writes into this folder: wait for its end, or name another folder"
+                )
             yield
-        finally:
-            if created:
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+    finally:
+        if created:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 def _file_id(path: str) -> tuple[int, int] | None:
@@ -283,7 +284,8 @@ def _flat(values: Any) -> Iterator[Any]:
         yield values
 
 
-def _scene_files_in(source: str) -> Iterator[str]:
-    """The scene files of a folder; none of anything else."""
-    with contextlib.suppress(OSError, ValueError), os.scandir(source) as entries:
-        yield from (each.path for each in entries if each.name.lower().endswith(SUFFIXES))
+def _scene_files_in(source: str) -> list[str]:
+    """The scene files of a folder, sorted; none of anything else."""
+    if not os.path.isdir(source):
+        return []
+    return [str(file) for file in sorted(Path(source).iterdir()) if file.suffix.lower() in SUFFIXES]

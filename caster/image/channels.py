@@ -10,7 +10,7 @@ from caster.geometry.packing import in_words
 from caster.image.exr import NO_ID, write_bands
 from caster.scene.model import Scene
 
-__all__ = ["aovs_to_channels", "channels_to_aovs", "provenance", "write_render"]
+__all__ = ["aovs_to_channels", "channels_to_aovs", "hit_mask", "provenance", "write_render"]
 
 
 def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:
@@ -22,10 +22,24 @@ def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:
             planes = image[..., None] if image.ndim == 2 else image
             for c, channel in enumerate(aov.CHANNELS):
                 plane = planes[..., c]
-                if np.issubdtype(plane.dtype, np.integer):
-                    plane = np.where(plane < 0, NO_ID, plane.astype(np.int64)).astype(np.uint32)
-                channels[channel] = plane
+                ids = np.issubdtype(plane.dtype, np.integer)
+                channels[channel] = plane.astype(np.uint32) if ids else plane  # -1 becomes NO_ID
     return channels
+
+
+def hit_mask(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray | None, str]:
+    """The hit mask, (h, w) bool, and the channel it is derived from; (None, "") if there is none.
+
+    By the mask channel `A`, else the ids, else depth (other renderers mark misses by other values).
+    """
+    if "A" in channels:
+        return channels["A"] != 0, "A"
+    for name in ("id.shape", "id.prim"):
+        if name in channels:
+            return channels[name] != NO_ID, name
+    if "depth.Z" in channels:
+        return channels["depth.Z"] != np.inf, "depth.Z"
+    return None, ""
 
 
 def channels_to_aovs(channels: Mapping[str, np.ndarray]) -> Aovs:
@@ -33,15 +47,10 @@ def channels_to_aovs(channels: Mapping[str, np.ndarray]) -> Aovs:
     images = {}
     for aov in AOVS:
         if all(channel in channels for channel in aov.CHANNELS):
-            planes = [_from_stored(channels[channel]) for channel in aov.CHANNELS]
+            stored = [channels[channel] for channel in aov.CHANNELS]
+            planes = [s.view(np.int32) if s.dtype == np.uint32 else s.astype(np.float64) for s in stored]  # NO_ID: -1
             images[aov.NAME] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
     return Aovs(images, channels["A"] != 0)
-
-
-def _from_stored(plane: np.ndarray) -> np.ndarray:
-    if plane.dtype == np.uint32:
-        return np.where(plane == NO_ID, -1, plane.astype(np.int64)).astype(np.int32)
-    return plane.astype(np.float64)
 
 
 def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:

@@ -17,12 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.description.errors import FileMissing, SceneError
+from caster.description.errors import SceneError
 from caster.description.input_files import opened_input
 from caster.image.exr_validation import (
     UnreadableExr,
     Window,
-    check_all_read,
     check_memory,
     check_parts,
     checked_window,
@@ -30,6 +29,8 @@ from caster.image.exr_validation import (
     header_attributes,
     merged_channel_names,
     merged_provenance,
+    part_name,
+    quoted_list,
     to_storable,
     window_of,
 )
@@ -167,22 +168,26 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
 
     A channel without a layer (`Z`) gets the name of its part (`depth.Z`), unless the part is called `rgba`, `rgb`,
     `beauty`, `combined` or `main`. Of several resolutions, the finest is read.
-    Raises FileMissing if there is no such file, UnreadableExr if it is not a complete, flat EXR image, or if its parts
-    are not layers of one image, such as parts of different sizes or of several views, or do not fit into memory.
+    Raises FileMissing for a file that cannot be opened, UnreadableExr if it is not a complete, flat EXR image, or if
+    its parts are not layers of one image, such as parts of different sizes or views, or do not fit into memory.
     """
     path = Path(path)
     headers = _headers(path)
     check_memory(path, headers)
     read = _decode(path)
-    check_all_read(path, headers, [part.name() for part in read])
     names = {part.name(): part.channels for part in read}
+    if dropped := quoted_list(name for name in map(part_name, headers) if name not in names):
+        raise UnreadableExr(f"{path}: cannot read part {dropped}: damaged, truncated or of an unknown kind")
     called = merged_channel_names(path, names) if len(names) > 1 else {}
     header = read[0].header
-    window = window_of(header["dataWindow"])
+    x0, y0, x1, y1 = window = window_of(header["dataWindow"])
     channels: dict[str, np.ndarray] = {}
     for part in read:
-        mine = {called.get((part.name(), name), name): channel for name, channel in part.channels.items()}
-        channels |= {name: _pixels(path, name, channel, window) for name, channel in mine.items()}
+        for stored, channel in part.channels.items():
+            name, shape = called.get((part.name(), stored), stored), np.shape(channel.pixels)
+            if shape != (y1 - y0, x1 - x0):
+                raise UnreadableExr(f"{path}: channel '{name}' has {shape} values for window {window}: subsampled")
+            channels[name] = np.array(channel.pixels)  # copied: the library's array lives only as long as its part
     return Exr(
         dict(sorted(channels.items())),
         merged_provenance(path, [part.header for part in read]),
@@ -199,18 +204,12 @@ def _inclusive(window: Window) -> Window:
 
 def _headers(path: Path) -> list[Any]:
     """The headers of all parts. Raises FileMissing, and UnreadableExr for anything but layers of one flat image."""
-    if not os.path.lexists(path):
-        raise FileMissing(f"{path}: no such file")
-    try:
-        with opened_input(path, "EXR image") as file:
-            start = file.read(4)
-    except FileMissing as e:
-        raise UnreadableExr(str(e)) from e
-    if not start:
-        raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
+    with opened_input(path, "EXR image") as file:
+        start = file.read(4)
     if start != struct.pack("<I", MAGIC):
         text = start.decode("latin-1").strip()
-        raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with '{text}'")
+        got = f"got a file that starts with '{text}'" if start else "the file is empty (0 bytes)"
+        raise UnreadableExr(f"{path}: expected an EXR image, {got}")
     headers = [part.header for part in _decode(path, header_only=True)]
     check_parts(path, headers)
     return headers
@@ -230,14 +229,6 @@ def _decode(path: Path, *, header_only: bool = False) -> list[Any]:
     if not file.parts:  # a part that fails to decode is dropped by the library
         raise damaged
     return list(file.parts)
-
-
-def _pixels(path: Path, name: str, channel: Any, window: Window) -> np.ndarray:
-    x0, y0, x1, y1 = window
-    shape = np.shape(channel.pixels)
-    if shape != (y1 - y0, x1 - x0):
-        raise UnreadableExr(f"{path}: channel '{name}' has {shape} values for window {window}: subsampled")
-    return np.array(channel.pixels)  # copied: the library's array lives only as long as its part
 
 
 _redirection_lock = threading.Lock()

@@ -44,16 +44,9 @@ def common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:
     return int(shape[0]), int(shape[1])
 
 
-def _check_name(kind: str, name: object) -> None:
-    if not isinstance(name, str) or not name or "\0" in name or len(_utf8(kind, name)) > MAX_NAME_BYTES:
+def _check_name(kind: str, name: str) -> None:
+    if not name or "\0" in name or len(name.encode()) > MAX_NAME_BYTES:
         raise SceneError(f"{kind} name {name!r:.60}: expected 1 to {MAX_NAME_BYTES} bytes of text without NUL")
-
-
-def _utf8(what: str, text: str) -> bytes:
-    try:
-        return text.encode("utf-8")
-    except UnicodeEncodeError as e:
-        raise SceneError(f"{what}: text that is no valid Unicode cannot be stored: {text!r:.60}") from e
 
 
 def checked_window(what: str, window: Window) -> Window:
@@ -76,9 +69,8 @@ def header_attributes(provenance: Mapping[str, str]) -> dict[str, str]:
     for key, value in sorted(provenance.items()):
         name = PROVENANCE_PREFIX + key.removeprefix(PROVENANCE_PREFIX)
         _check_name("provenance", name)
-        if not isinstance(value, str) or name in attributes:
-            raise SceneError(f"provenance {name!r}: expected one string, got {value!r:.60}")
-        _utf8(f"provenance {name!r}", value)
+        if not isinstance(value, str):
+            raise SceneError(f"provenance {name!r}: expected a string, got {value!r:.60}")
         attributes[name] = value
     return attributes
 
@@ -114,17 +106,15 @@ MAIN_PART_NAME = re.compile(r"(.*\.)?(rgba?|beauty|combined|main|part ?\d+|subim
 
 def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
     """Raise UnreadableExr, naming the parts, unless they are layers of one flat image. headers: of all parts."""
-    deep = [_part_name(each) for each in headers if "deep" in str(each.get("type"))]
+    deep = [part_name(each) for each in headers if "deep" in str(each.get("type"))]
     if deep:
-        raise UnreadableExr(
-            f"{path}: deep data, many samples per pixel, in part {_quoted_list(deep)}; write flat parts"
-        )
+        raise UnreadableExr(f"{path}: deep data, many samples per pixel, in part {quoted_list(deep)}; write flat parts")
     views = dict.fromkeys(str(each["view"]) for each in headers if each.get("view"))
     if len(views) > 1:
-        raise UnreadableExr(f"{path}: images of {len(views)} views ({_quoted_list(views)}); write one of them")
+        raise UnreadableExr(f"{path}: images of {len(views)} views ({quoted_list(views)}); write one of them")
     windows = [window_of(each["dataWindow"]) for each in headers]
     if len(set(windows)) > 1:
-        shown = [f"'{_part_name(each)}' shows {box}" for each, box in zip(headers, windows, strict=True)]
+        shown = [f"'{part_name(each)}' shows {box}" for each, box in zip(headers, windows, strict=True)]
         raise UnreadableExr(
             f"{path}: parts of different sizes, expected layers of one image: pixels (x0, y0, x1, y1): part "
             f"{', '.join(shown)}; write one of them, or all with the same data window"
@@ -146,33 +136,23 @@ def check_memory(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
         )
 
 
-def check_all_read(path: Path, headers: Sequence[Mapping[str, Any]], read: Sequence[str]) -> None:
-    """Raise UnreadableExr for parts of the file that the library dropped without decoding them."""
-    left = [name for name in map(_part_name, headers) if name not in read]
-    if left:
-        raise UnreadableExr(f"{path}: cannot read part {_quoted_list(left)}: damaged, truncated or of a kind not known")
-
-
 def merged_channel_names(path: Path, parts: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
     """(part, channel) -> the name of the channel in the merged image. parts: channels by part.
 
     Raises UnreadableExr where two channels would have the same name.
     """
-    plain = {(part, channel): _merged_name(part, channel) for part, each in parts.items() for channel in each}
+    plain: dict[tuple[str, str], str] = {}
+    for part, channels in parts.items():
+        whole_image = MAIN_PART_NAME.fullmatch(part)
+        for channel in channels:
+            own = whole_image or "." in channel or channel == part
+            plain[part, channel] = channel if own else f"{part}.{channel}"
     times = Counter(plain.values())
-    names = {
-        (part, channel): f"{part}.{channel}" if times[name] > 1 else name for (part, channel), name in plain.items()
-    }
+    names = {place: ".".join(place) if times[name] > 1 else name for place, name in plain.items()}
     twice = sorted(name for name, count in Counter(names.values()).items() if count > 1)
     if twice:
         raise UnreadableExr(f"{path}: two parts have a channel that would be called '{twice[0]}'; rename one")
     return names
-
-
-def _merged_name(part: str, channel: str) -> str:
-    if "." in channel or channel == part or MAIN_PART_NAME.fullmatch(part):
-        return channel
-    return f"{part}.{channel}"
 
 
 def merged_provenance(path: Path, headers: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -187,9 +167,10 @@ def merged_provenance(path: Path, headers: Sequence[Mapping[str, Any]]) -> dict[
     return dict(sorted(whole.items()))
 
 
-def _part_name(header: Mapping[str, Any]) -> str:
+def part_name(header: Mapping[str, Any]) -> str:
     return str(header.get("name", ""))
 
 
-def _quoted_list(names: Any) -> str:
+def quoted_list(names: Any) -> str:
+    """'a', 'b'"""
     return ", ".join(f"'{name}'" for name in names)

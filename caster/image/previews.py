@@ -10,9 +10,8 @@ import numpy as np
 
 from caster.aovs import AOVS, BY_NAME
 from caster.description.errors import SceneError, suggestion
-from caster.image.channels import channels_to_aovs
+from caster.image.channels import channels_to_aovs, hit_mask
 from caster.image.exr import Exr, read_exr
-from caster.image.exr_info import hit_mask
 
 __all__ = ["aov_view"]
 
@@ -42,12 +41,8 @@ def colormap_lookup(values: Array) -> Array:
 
 
 def label_colors(numbers: Array) -> Array:
-    """Categorical colours of integers >= 0, (..., 3) bytes; neighbouring numbers get distant hues."""
-    n = numbers.astype(np.int64)[..., None]
-    hue = 6.0 * ((n * GOLDEN_RATIO_CONJUGATE) % 1.0)
-    pure = np.clip(np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
-    value = np.array([0.9, 0.7, 1.0])[n // 5 % 3]
-    return to_bytes(value * (0.35 + 0.65 * pure))
+    """Categorical colours of integers >= 0, (..., 3) bytes; neighbouring numbers get distant ones."""
+    return colormap_lookup(numbers.astype(np.int64) * GOLDEN_RATIO_CONJUGATE % 1.0)
 
 
 # ---- AOVs ----
@@ -82,12 +77,11 @@ def aov_view(name: str, values: Array, hit: Array) -> LabelledImage:
     if name not in BY_NAME or BY_NAME[name].PREVIEW not in COLORINGS:
         known = [aov.NAME for aov in AOVS if aov.PREVIEW in COLORINGS]
         raise SceneError(f"no preview of aov '{name}'{suggestion(name, known)} (known: {', '.join(known)})")
-    kind = BY_NAME[name].PREVIEW
     finite = np.isfinite(values) if values.ndim == 2 else np.isfinite(values).all(axis=-1)
-    shown = (np.ones_like(hit) if kind == "mask" else hit) & finite
+    shown = hit & finite
     if shown.any():
         with np.errstate(all="ignore"):  # in pixels outside the mask
-            pixels, legend = COLORINGS[kind](values, shown)
+            pixels, legend = COLORINGS[BY_NAME[name].PREVIEW](values, shown)
     else:
         pixels, legend = np.zeros((*hit.shape, 3), np.uint8), "nothing to show"
     broken = hit & ~finite
@@ -114,22 +108,13 @@ def _depth(values: Array, shown: Array) -> Colored:
     return colormap_lookup(scale), f"{how}{near:.6g} (light) to {far:.6g} (dark)"
 
 
-def _direction(values: Array, shown: Array) -> Colored:
-    return to_bytes(0.5 + 0.5 * values), "x, y, z from -1 to 1 as red, green, blue"
-
-
-def _position(values: Array, shown: Array) -> Colored:
+def _ranges(values: Array, shown: Array) -> Colored:
+    """Each of up to three channels from its least value to its greatest."""
     low, high = values[shown].min(axis=0), values[shown].max(axis=0)
-    t = (values - low) / np.where(high > low, high - low, 1.0)
-    ranges = ", ".join(f"{axis} {a:.6g} to {b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    return to_bytes(t), f"{ranges} as red, green, blue"
-
-
-def _uv(values: Array, shown: Array) -> Colored:
-    inside = values[shown].min() >= 0.0 and values[shown].max() <= 1.0
-    t = values if inside else values - np.floor(values)
-    how = "from 0 to 1" if inside else "modulo 1"
-    return to_bytes(np.concatenate([t, np.zeros_like(t[..., :1])], axis=-1)), f"u, v {how} as red, green"
+    colors = np.zeros((*shown.shape, 3))
+    colors[..., : len(low)] = (values - low) / np.where(high > low, high - low, 1.0)
+    words = zip(("red", "green", "blue"), low, high, strict=False)
+    return to_bytes(colors), ", ".join(f"{color} {a:.6g} to {b:.6g}" for color, a, b in words)
 
 
 def _radiance(values: Array, shown: Array) -> Colored:
@@ -139,35 +124,24 @@ def _radiance(values: Array, shown: Array) -> Colored:
     return _srgb_bytes(values / white), f"0 to {white:.4g} on an sRGB screen, {cut} pixels are brighter"
 
 
-def _reflectance(values: Array, shown: Array) -> Colored:
-    return _srgb_bytes(values), "0 to 1 on an sRGB screen"
-
-
 def _srgb_bytes(linear: Array) -> Array:
     """Linear light as sRGB bytes, clipped (IEC 61966-2-1)."""
     x = np.clip(linear, 0.0, 1.0)
     return to_bytes(np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055))
 
 
-def _mask(values: Array, shown: Array) -> Colored:
-    return np.repeat(to_bytes(values)[..., None], 3, axis=-1), f"white: {int((values != 0).sum())} pixels hit"
-
-
-def _labels(values: Array, shown: Array) -> Colored:
-    count = len(np.unique(values[shown]))
-    return label_colors(values), f"one colour per number, {count} numbers"
-
-
 # By the PREVIEW that an AOV declares.
 COLORINGS: Mapping[str, Coloring] = {
-    "mask": _mask,
+    "mask": lambda values, shown: (np.full((*shown.shape, 3), 255, np.uint8), f"white: {int(shown.sum())} pixels hit"),
     "depth": _depth,
-    "direction": _direction,
-    "position": _position,
-    "uv": _uv,
-    "reflectance": _reflectance,
+    "direction": lambda values, shown: (to_bytes(0.5 + 0.5 * values), "x, y, z from -1 to 1 as red, green, blue"),
+    "ranges": _ranges,
+    "reflectance": lambda values, shown: (_srgb_bytes(values), "0 to 1 on an sRGB screen"),
     "radiance": _radiance,
-    "ids": _labels,
+    "ids": lambda values, shown: (
+        label_colors(values),
+        f"one colour per number, {len(np.unique(values[shown]))} numbers",
+    ),
 }
 
 
@@ -196,7 +170,7 @@ def exr_image(path: str | PathLike[str], name: str | None) -> LabelledImage:
         raise SceneError(f"{path}: no '{shown}' in it{suggestion(shown, known)} (it has {', '.join(known)})")
     if shown == CLASS_MAP:
         return _class_map(exr, hit)
-    return aov_view(shown, hit.astype(np.float64) if shown == "hit" else aovs[shown], hit)
+    return aov_view(shown, aovs[shown], hit)
 
 
 def _class_map(exr: Exr, hit: Array) -> LabelledImage:

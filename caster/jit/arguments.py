@@ -1,7 +1,7 @@
 """The arguments of a kernel as machine code takes them: a block of words; an array is passed by its address."""
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 # Flags of an array for which Numba compiles different code. An array in both orders counts as C-ordered.
 C_ORDER, FORTRAN_ORDER, ALIGNED, WRITABLE = 0x1, 0x2, 0x100, 0x400
 
-ARRAY, INTEGER, REAL, BOOLEAN, NONE = "a", "i", "d", "b", "n"
+INTEGER, REAL, BOOLEAN, NONE = "i", "d", "b", "n"
 
 # Exactly these: for Numba, a subclass may be another type.
 SCALARS: dict[type, str] = {
@@ -62,33 +62,18 @@ def _describe(args: Iterable[Any], key: list[Any], words: list[int]) -> bool:
 REAL_NUMBER, WORD = struct.Struct("d"), struct.Struct("q")
 
 
-def real_of_word(word: int) -> float:
-    return float(REAL_NUMBER.unpack(WORD.pack(word))[0])
-
-
 def key_text(key: tuple[Any, ...]) -> str:
     """A key as text that is the same in every process."""
     return " ".join(
-        f"{each[0].__module__}.{each[0].__qualname__}/{each[1]}" if _is_tuple(each) else str(each) for each in key
+        f"{each[0].__module__}.{each[0].__qualname__}/{each[1]}" if is_tuple(each) else str(each) for each in key
     )
 
 
 def tuple_classes(key: tuple[Any, ...]) -> tuple[type, ...]:
     """The classes of all tuples among the arguments, in order."""
-    return tuple(each[0] for each in key if _is_tuple(each))
+    return tuple(each[0] for each in key if is_tuple(each))
 
 
-def _is_tuple(form: Any) -> bool:
+def is_tuple(form: Any) -> bool:
+    """Whether a part of a key is that of a tuple, whose members are the parts that follow."""
     return isinstance(form, tuple) and isinstance(form[0], type)
-
-
-Form = tuple[str, int, int]  # ARRAY or the form of a scalar; of an array, its dimensions and the bytes of an element
-
-
-def forms_of(key: tuple[Any, ...]) -> Iterator[Form]:
-    """The form of each argument; tuples are flattened."""
-    for each in key:
-        if isinstance(each, str):
-            yield each, 0, 0
-        elif not _is_tuple(each):
-            yield ARRAY, each[1], np.dtype(each[0]).itemsize

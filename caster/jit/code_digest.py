@@ -23,9 +23,9 @@ class OwnCode(NamedTuple):
     """The code of one function without that of others, and the names in it that can be followed."""
 
     text: str
-    functions: tuple[FunctionType, ...]
-    generics: tuple[Any, ...]  # decorators.Generic
-    classes: tuple[type, ...]
+    functions: set[FunctionType]
+    generics: set[Any]  # decorators.Generic
+    classes: set[type]
 
 
 def code_digest(function: Callable[..., Any], classes: Iterable[type], generics: dict[Any, Any]) -> str:
@@ -37,23 +37,19 @@ def code_digest(function: Callable[..., Any], classes: Iterable[type], generics:
     known_generics: set[Any] = set()
     texts = {_class_text(kind) for kind in known_classes}
     reached: set[Any] = set()
-    waiting: list[Any] = [function]
+    waiting: set[Any] = {function}
     while waiting:
-        each = waiting.pop()
-        if each in reached:
-            continue
-        reached.add(each)
-        own = _OWN_CODES.get(each) or _OWN_CODES.setdefault(each, _read(each, generics))
-        texts.add(own.text)
-        waiting += own.functions
-        new_classes, new_generics = {*own.classes} - known_classes, {*own.generics} - known_generics
-        known_classes |= new_classes
-        known_generics |= new_generics
-        pairs = {(g, c) for g in new_generics for c in known_classes} | {
-            (g, c) for g in known_generics for c in new_classes
-        }
-        waiting += [_plain(g.bodies[c]) for g, c in pairs if c in g.bodies]
-        texts.update(f"{_name(g.stub)} for {_name(c)}: {_name(_plain(g.bodies[c]))}" for g, c in pairs if c in g.bodies)
+        while waiting:
+            each = waiting.pop()
+            reached.add(each)
+            own = _OWN_CODES.get(each) or _OWN_CODES.setdefault(each, _read(each, generics))
+            texts.add(own.text)
+            waiting |= own.functions - reached
+            known_classes |= own.classes
+            known_generics |= own.generics
+        pairs = [(g, c) for g in known_generics for c in g.bodies.keys() & known_classes]
+        waiting = {_plain(g.bodies[c]) for g, c in pairs} - reached
+    texts |= {f"{_name(g.stub)} for {_name(c)}: {_name(_plain(g.bodies[c]))}" for g, c in pairs}
     return hashlib.sha256("\0".join(sorted(texts)).encode()).hexdigest()
 
 
@@ -70,25 +66,24 @@ _OWN_CODES: dict[Any, OwnCode] = {}  # by function
 
 
 def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
-    functions: list[FunctionType] = []
-    named_generics: list[Any] = []
-    classes: list[type] = []
+    functions, named_generics, classes = set[FunctionType](), set[Any](), set[type]()
 
     def label(value: Any) -> str:
         """A value as text; one that can be followed is noted."""
         if isinstance(value, type):
-            classes.append(value)
+            classes.add(value)
             return _class_text(value)
         if isinstance(value, ModuleType):
             return f"module {value.__name__} {_source_digest(value)}"
         if isinstance(value, BuiltinFunctionType | np.ufunc):
             return f"{type(value).__name__} {_name(value)}"
-        if isinstance(_plain(value), FunctionType):
+        if isinstance(plain := _plain(value), FunctionType):
+            package = plain.__module__.partition(".")[0]
             if value in generics:
-                named_generics.append(generics[value])
-            elif _has_source(_plain(value)):
-                functions.append(_plain(value))
-            return f"function {_name(_plain(value))} {getattr(value, 'options', '')}"
+                named_generics.add(generics[value])
+            elif package not in WITHOUT_SOURCE and not plain.__module__.startswith(__package__):
+                functions.add(plain)
+            return f"function {_name(plain)} {getattr(value, 'options', '')}"
         if isinstance(value, tuple):
             return f"({', '.join(map(label, value))})"
         if isinstance(value, np.ndarray):
@@ -106,13 +101,11 @@ def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
         words += [code.co_code.hex(), str((code.co_argcount, code.co_kwonlyargcount, code.co_flags))]
         words += [str((code.co_varnames, code.co_freevars, code.co_cellvars))]
         words += [label(constant) for constant in constants if not isinstance(constant, CodeType)]
-        words += [
-            f"{name} = {label(function.__globals__[name])}" for name in code.co_names if name in function.__globals__
-        ]
-        words += [name for name in code.co_names if name not in function.__globals__]
+        known = function.__globals__
+        words += [f"{name} = {label(known[name])}" if name in known else name for name in code.co_names]
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         words.append(f"{name} = {label(cell.cell_contents)}")
-    return OwnCode("\n".join(words), tuple(functions), tuple(named_generics), tuple(classes))
+    return OwnCode("\n".join(words), functions, named_generics, classes)
 
 
 def _class_text(kind: type) -> str:
@@ -139,11 +132,6 @@ def _source_digest(module: ModuleType) -> str:
 def _plain(value: Any) -> Any:
     """The Python function of a kernel."""
     return getattr(value, "function", value)
-
-
-def _has_source(function: FunctionType) -> bool:
-    package = function.__module__.partition(".")[0]
-    return package not in WITHOUT_SOURCE and not function.__module__.startswith(__package__)
 
 
 def _name(thing: Any) -> str:

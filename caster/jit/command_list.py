@@ -4,7 +4,6 @@ Python runs in one thread at a time, and waiting for its lock costs more than th
 as in graphics interfaces; arguments that change from row to row are read from the row.
 """
 
-import ctypes
 from collections.abc import Callable, Iterable
 from itertools import accumulate, chain
 from typing import Any, NamedTuple
@@ -32,7 +31,8 @@ class BoundCall:
         self.block = np.zeros(1, np.int64)
         self.places: list[range] = []  # where the given arguments are in the block
         if self.code is not None:
-            words = [_words((arg,)) for arg in args]
+            described = [describe((arg,)) for arg in args]
+            words = [each.words[PLACE_OF_ANSWER + 1 :] for each in described if each is not None]
             ends = [*accumulate(map(len, words), initial=PLACE_OF_ANSWER + 1)]
             self.block = np.array([0, *chain(*words)], np.int64)
             self.places = [range(ends[n], ends[n + 1]) for n in given]
@@ -46,11 +46,6 @@ class BoundCall:
             every[n] = those
         answer = self._function(*every)
         self.block[PLACE_OF_ANSWER] = answer if isinstance(answer, int | np.integer) else 0
-
-
-def _words(args: tuple[Any, ...]) -> list[int]:
-    described = describe(args)
-    return described.words[1:] if described is not None else []
 
 
 Condition = int | tuple[np.ndarray, int]
@@ -139,11 +134,8 @@ class CommandList:
         for place, taken in zip(call.places, command.given, strict=True):
             of_row = columns[taken] if isinstance(taken, slice) else (taken,)
             for word, n in zip(place, of_row, strict=True):
-                copies += (n, call.address + word * WORD)
+                copies += (n, call.address + word * call.block.itemsize)
         return [call.code.address, call.address, when, len(copies) // 2, *copies]
-
-
-WORD = ctypes.sizeof(ctypes.c_int64)
 
 
 def _condition_word(when: Condition | None) -> int:

@@ -19,9 +19,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from caster.jit import machine_code
-from caster.jit.arguments import INTEGER, REAL, describe, forms_of, key_text, tuple_classes
+from caster.jit.arguments import INTEGER, REAL, describe, key_text, tuple_classes
 from caster.jit.code_digest import code_digest, compiler_digest
-from caster.jit.kernel_cache import COMPILED, INSTALLED, cache_folder, claim, sources_stamp, write_sealed
+from caster.jit.kernel_cache import COMPILED, INSTALLED, PACKAGE, cache_folder, claim, write_sealed
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -48,19 +48,12 @@ COMPILATION_LOG = CompilationLog()
 
 
 @cache
-def _numba() -> Any:
-    numba: Any = importlib.import_module("numba")
-    importlib.import_module("numba.extending")
-    for entry in _GENERICS.values():
-        entry.overload(numba)
-    for stub, definition in importlib.import_module("caster.jit.vector_intrinsics").intrinsics():
-        _compiler().register_intrinsic(stub, definition)
-    return numba
-
-
 def _compiler() -> Any:
     """The module caster.jit.compiler, which loads Numba."""
-    return importlib.import_module("caster.jit.compiler")
+    compiler: Any = importlib.import_module("caster.jit.compiler")
+    for entry in _GENERICS.values():
+        entry.overload(compiler)
+    return compiler
 
 
 class Kernel:
@@ -88,13 +81,11 @@ class Kernel:
     @cached_property
     def dispatcher(self) -> Any:
         """Numba's dispatcher for calls from kernels."""
-        _numba()
         return _compiler().dispatcher_of(self.function, self.options)
 
     @cached_property
     def _python_dispatcher(self) -> Any:
         """Numba's dispatcher for calls from Python, where only Numba can pass the arguments or the answer."""
-        _numba()
         return _compiler().dispatcher_of(self.function, self.options, from_python=True)
 
     @property
@@ -151,10 +142,9 @@ class Kernel:
 
     def _found(self, path: Path, key: tuple[Any, ...]) -> machine_code.ObjectCode | None:
         """Load machine code from the cache or else from the wheel; None if neither has it."""
-        code = machine_code.read(path, _symbol(path))
+        code = machine_code.read(path)
         if code is None and INSTALLED.is_dir() and machine_code.runs_portable_code():
-            shipped = INSTALLED / self._file(key, machine_code.PORTABLE_DESCRIPTION)
-            code = machine_code.read(shipped, _symbol(shipped))
+            code = machine_code.read(INSTALLED / self._file(key, machine_code.PORTABLE_DESCRIPTION))
         if code is not None:
             COMPILATION_LOG.loaded.append(self._named(tuple_classes(key)))
         return code
@@ -163,30 +153,24 @@ class Kernel:
         """Compile the kernel and keep its machine code; None if only Numba can call it."""
         name = self._named(tuple_classes(key))
         COMPILATION_LOG.compiling(name)
-        types = tuple(_numba().typeof(arg) for arg in args)
+        types = tuple(map(_compiler().typeof, args))
         with _no_garbage_collection():
             self.dispatcher.compile(types)
             result = self.dispatcher.overloads[types]
             gives = GIVES.get(str(result.signature.return_type))
             if gives is None:
                 raise TypeError(f"{name} answers {result.signature.return_type}: its annotation has to say so")
-            function, forms = result.fndesc.llvm_func_name, list(forms_of(key))
-            data = machine_code.extract_object_code(result.library, function, _symbol(path), forms, gives)
+            data = _compiler().object_code(result, path, key, gives)
         COMPILATION_LOG.compiled.append(name)
         if data is None:
             return None
         write_sealed(path, gives.encode() + b"\n" + data)
-        return machine_code.ObjectCode(_symbol(path), gives, data)
+        return machine_code.ObjectCode(path, gives, data)
 
     def _named(self, classes: Iterable[type]) -> str:
         """The name that users see: with the NamedTuples among the arguments."""
         kinds = ", ".join(kind.__name__ for kind in classes if kind is not tuple)
         return f"{self.__name__}({kinds})" if kinds else self.__name__
-
-
-def _symbol(path: Path) -> str:
-    """The symbol of the entry in a file."""
-    return path.stem.partition("-")[2]
 
 
 # ---- compilation by several processes ----
@@ -229,18 +213,14 @@ class SharedCompilation:
         for _ in range(min(cores, MAX_PROCESSES) - 1):
             self.children.append(os.fork())
             if self.children[-1] == 0:
-                _run_in_child(self.work)
-
-
-def _run_in_child(work: Callable[[], None]) -> None:
-    try:
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for stream in range(3):
-            os.dup2(nowhere, stream)
-        COMPILATION_LOG.compiling = lambda name: None
-        work()
-    finally:
-        os._exit(0)
+                try:
+                    nowhere = os.open(os.devnull, os.O_RDWR)
+                    for stream in range(3):
+                        os.dup2(nowhere, stream)
+                    COMPILATION_LOG.compiling = lambda name: None
+                    self.work()
+                finally:
+                    os._exit(0)
 
 
 _SHARED = SharedCompilation()
@@ -254,7 +234,10 @@ def compile_ahead(about: str, work: Callable[[], None]) -> None:
     """
     if not COMPILED or not machine_code.is_supported() or _SHARED.work is not None:
         return
-    words = [about, compiler_digest(), sources_stamp(), machine_code.target_description()]
+    words = [about, compiler_digest(), machine_code.target_description()]
+    for path in sorted(PACKAGE.rglob("*.py")):  # an edit changes size or time, which are read sooner than the text
+        status = path.stat()
+        words.append(f"{path} {status.st_size} {status.st_mtime_ns}")
     done = cache_folder() / f"{hashlib.sha256('|'.join(words).encode()).hexdigest()[:32]}.done"
     if not done.exists():
         _SHARED.run(work)
@@ -297,7 +280,7 @@ class Generic:
 
         self.call = dispatch
 
-    def overload(self, numba: Any) -> None:
+    def overload(self, compiler: Any) -> None:
         """Tell Numba how to choose the body."""
         bodies = self.bodies
 
@@ -306,30 +289,26 @@ class Generic:
             kind: Any = getattr(args[0], "instance_class", None)  # of a Numba type
             return bodies.get(kind, bodies.get(object))
 
-        numba.extending.overload(self.call, jit_options=self.options, strict=False)(choose)
+        compiler.overload(self.call, jit_options=self.options, strict=False)(choose)
 
 
 _GENERICS: dict[Callable[..., Any], Generic] = {}
 _IMPLEMENTED: list[Any] = []  # all bodies; a new one may change what a kernel reaches
 
 
-def generic(stub: Function) -> Function:
+def generic(stub: Function, *, forceinline: bool = False) -> Function:
     """Declare a protocol function; `implement(function, Kind)` gives it a body for one kind."""
-    return _declared(stub, {"forceinline": False})
+    entry = Generic(stub, {"forceinline": forceinline})
+    with _LOCK:
+        _GENERICS[entry.call] = entry
+        if _compiler.cache_info().currsize:  # a mesh reader may compile before the kernels of rendering are imported
+            entry.overload(_compiler())
+    return entry.call  # type: ignore[return-value]  # called like the stub
 
 
 def generic_inlined(stub: Function) -> Function:
     """The same for a function of innermost loops, which is inlined."""
-    return _declared(stub, {"forceinline": True})
-
-
-def _declared(stub: Function, options: dict[str, Any]) -> Function:
-    entry = Generic(stub, options)
-    with _LOCK:
-        _GENERICS[entry.call] = entry
-        if _numba.cache_info().currsize:  # a mesh reader may compile before the kernels of rendering are imported
-            entry.overload(_numba())
-    return entry.call  # type: ignore[return-value]  # called like the stub
+    return generic(stub, forceinline=True)
 
 
 def optional(declare: Callable[[Function], Function]) -> Callable[[Function], Function]:

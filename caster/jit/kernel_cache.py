@@ -37,25 +37,26 @@ refusals: list[str] = []
 
 @cache
 def cache_folder() -> Path:
-    """The folder of compiled kernels: NUMBA_CACHE_DIR if that is set, else below XDG_CACHE_HOME.
+    """The folder of compiled kernels, below XDG_CACHE_HOME.
 
     Its files are executed, so no other user may be able to write them: a folder that another user owns or may write is
     listed in `refusals`, and a temporary one is used instead.
     """
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "caster"
-    folders = [Path(chosen)] if chosen else [home, home / "kernels"]
+    folder = home / "kernels"
     try:
-        for each in folders:
+        for each in (home, folder):
             each.mkdir(mode=0o700, parents=True, exist_ok=True)
             if why := distrust(each.stat()):
                 refusals.append(f"{each}: {why}")
                 return _temporary_folder()
     except OSError:  # a home that cannot be written: compile anew in every process
         return _temporary_folder()
-    if not chosen:
-        _drop_old_files(folders[-1])
-    return folders[-1]
+    with contextlib.suppress(OSError):  # another process drops the same ones
+        newest_first = sorted(folder.iterdir(), key=lambda path: -path.stat().st_mtime)
+        for old in newest_first[MAX_KEPT_KERNELS:]:
+            old.unlink(missing_ok=True)
+    return folder
 
 
 def distrust(found: os.stat_result) -> str:
@@ -74,23 +75,9 @@ def _temporary_folder() -> Path:
     return folder
 
 
-def _drop_old_files(folder: Path) -> None:
-    """Keep only the newest kernels."""
-    with contextlib.suppress(OSError):  # another process drops the same ones
-        files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-        for old in files[MAX_KEPT_KERNELS:]:
-            old.unlink(missing_ok=True)
-
-
-def sources_stamp() -> str:
-    """Paths, sizes and times of this package's sources, which change with an edit; cheaper than a digest."""
-    found = ((path, path.stat()) for path in sorted(PACKAGE.rglob("*.py")))
-    return "\n".join(f"{path} {status.st_size} {status.st_mtime_ns}" for path, status in found)
-
-
 @contextlib.contextmanager
 def claim(path: Path, *, wait: bool) -> Iterator[bool]:
-    """Lock a file that this process wants to make; yields whether it may.
+    """Lock a file that this process wants to make, by one beside it with the suffix .lock; yields whether it may.
 
     If another process is making it: False, or with `wait` True after that is done or has ended. Without a folder or
     locks, every process may.

@@ -1,14 +1,15 @@
-"""LLVM code of the functions of caster/jit/simd.py, which documents them, for numba.extending.intrinsic."""
+"""LLVM code by which Numba replaces calls of the functions of caster/jit/simd.py, which documents them."""
 
 import inspect
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from llvmlite import ir
 from numba.core import types
 from numba.core.datamodel import models
+from numba.core.typing import templates
 from numba.extending import register_model
 
 from caster.jit import machine_code, simd
@@ -23,9 +24,6 @@ Builder = Any
 class VectorType(types.Type):
     """Numba's type of a vector."""
 
-    def __init__(self) -> None:
-        super().__init__(f"Vector({LANES})")
-
 
 @register_model(VectorType)
 class VectorModel(models.PrimitiveModel):  # type: ignore[misc]  # likewise
@@ -35,39 +33,11 @@ class VectorModel(models.PrimitiveModel):  # type: ignore[misc]  # likewise
         super().__init__(manager, of, REALS)
 
 
-VECTOR = VectorType()
+VECTOR = VectorType(f"Vector({LANES})")
 
 
-def intrinsics() -> Iterator[tuple[Callable[..., Any], Callable[..., Any]]]:
-    """(plain Python function, definition) of each intrinsic."""
-    real, whole, none, index = types.float64, types.int64, types.none, types.uint64
-    for stub, build, gives, *takes in (
-        (simd.load_lanes, _load, VECTOR, None, index),
-        (simd.load_children, _load, VECTOR, None, index),
-        (simd.store, _store, none, VECTOR, None, index),
-        (simd.splat, _splat, VECTOR, real),
-        (operator.add, ir.IRBuilder.fadd, VECTOR, VECTOR, VECTOR),
-        (operator.sub, ir.IRBuilder.fsub, VECTOR, VECTOR, VECTOR),
-        (operator.mul, ir.IRBuilder.fmul, VECTOR, VECTOR, VECTOR),
-        (simd.larger, _larger, VECTOR, VECTOR, VECTOR),
-        (simd.lesser, _lesser, VECTOR, VECTOR, VECTOR),
-        (simd.bits_below, partial(_bits, "<"), whole, VECTOR, VECTOR),
-        (simd.bits_up_to, partial(_bits, "<="), whole, VECTOR, VECTOR),
-        (simd.select, _select, VECTOR, whole, VECTOR, VECTOR),
-        (simd.least, partial(_reduced, _lesser), real, VECTOR),
-        (simd.largest, partial(_reduced, _larger), real, VECTOR),
-        (simd.lowest_bit, _lowest_bit, whole, whole),
-        (simd.prefetch, _prefetch, none, None, whole),
-        (simd.gather_corners, _gather_corners, none, None, None, None, index, index, index),
-        (machine_code.load_word, _load_word, whole, whole),
-        (machine_code.store_word, _store_word, none, whole, whole),
-        (machine_code.call_entry, _call_entry, whole, whole, whole),
-    ):
-        yield stub, _intrinsic(build, gives, *takes)
-
-
-def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[..., Any]:
-    """Definition of an intrinsic: build(builder, *arguments) returns its value.
+def _register(stub: Callable[..., Any], build: Callable[..., Any], gives: Any, *takes: Any) -> None:
+    """Replace calls of a Python function by LLVM code: build(builder, *arguments) returns the value.
 
     takes: the type of each argument, None for a C-ordered array, which `build` gets as Numba's structure. A float64 may
     stand for all vectors but one.
@@ -95,7 +65,9 @@ def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[.
     names = ["typing", *(f"a{n}" for n in range(len(takes)))]  # Numba counts them
     parameters = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in names]
     typed.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # read by inspect
-    return typed
+    template = templates.make_intrinsic_template(stub, typed, stub.__name__)
+    templates.infer(template)
+    templates.infer_global(stub, types.Function(template))
 
 
 def _load(builder: Builder, array: Any, i: Any) -> Any:
@@ -115,18 +87,13 @@ def _splat(builder: Builder, x: Any) -> Any:
     return _picked(builder, builder.insert_element(nothing, x, INT32(0)), [0] * LANES)
 
 
-def _picked(builder: Builder, vector: Any, places: Any, more: Any = None) -> Any:
-    """Elements of one vector or two, by their places."""
-    mask = ir.Constant(ir.VectorType(INT32, len(places)), list(places))
-    return builder.shuffle_vector(vector, vector if more is None else more, mask)
+def _picked(builder: Builder, vector: Any, places: Any) -> Any:
+    """Elements of a vector, by their places."""
+    return builder.shuffle_vector(vector, vector, ir.Constant(ir.VectorType(INT32, len(places)), list(places)))
 
 
-def _larger(builder: Builder, v: Any, w: Any) -> Any:
-    return builder.select(builder.fcmp_ordered(">", v, w), v, w)
-
-
-def _lesser(builder: Builder, v: Any, w: Any) -> Any:
-    return builder.select(builder.fcmp_ordered("<", v, w), v, w)
+def _chosen(relation: str, builder: Builder, v: Any, w: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(relation, v, w), v, w)
 
 
 def _bits(relation: str, builder: Builder, v: Any, w: Any) -> Any:
@@ -138,25 +105,13 @@ def _select(builder: Builder, bits: Any, v: Any, w: Any) -> Any:
     return builder.select(chosen, v, w)
 
 
-def _reduced(chosen: Callable[[Builder, Any, Any], Any], builder: Builder, vector: Any) -> Any:
+def _reduced(relation: str, builder: Builder, vector: Any) -> Any:
     """Reduce a vector by choosing between its halves."""
     half = LANES // 2
     while half:
-        vector = chosen(builder, *(_picked(builder, vector, range(at, at + half)) for at in (0, half)))
+        vector = _chosen(relation, builder, *(_picked(builder, vector, range(at, at + half)) for at in (0, half)))
         half //= 2
     return builder.extract_element(vector, INT32(0))
-
-
-def _lowest_bit(builder: Builder, mask: Any) -> Any:
-    return builder.cttz(mask, ir.Constant(ir.IntType(1), 1))
-
-
-def _load_word(builder: Builder, address: Any) -> Any:
-    return builder.load(builder.inttoptr(address, INT64.as_pointer()))
-
-
-def _store_word(builder: Builder, address: Any, word: Any) -> None:
-    builder.store(word, builder.inttoptr(address, INT64.as_pointer()))
 
 
 def _call_entry(builder: Builder, entry: Any, block: Any) -> Any:
@@ -188,3 +143,31 @@ def _gather_corners(builder: Builder, rows: Any, faces: Any, lanes: Any, numbers
                 number = builder.load(builder.gep(rows.data, [builder.add(start, INT64(axis))]))
                 column = builder.insert_element(column, number, INT32(n))
             _store(builder, column, lanes, builder.add(into, builder.mul(step, INT64(3 * corner + axis))))
+
+
+real, whole, none, index = types.float64, types.int64, types.none, types.uint64
+NOT_ZERO = ir.Constant(ir.IntType(1), 1)  # the mask, so that 0 needs no code
+WORD = INT64.as_pointer()
+
+_register(simd.load_lanes, _load, VECTOR, None, index)
+_register(simd.load_children, _load, VECTOR, None, index)
+_register(simd.store, _store, none, VECTOR, None, index)
+_register(simd.splat, _splat, VECTOR, real)
+_register(operator.add, ir.IRBuilder.fadd, VECTOR, VECTOR, VECTOR)
+_register(operator.sub, ir.IRBuilder.fsub, VECTOR, VECTOR, VECTOR)
+_register(operator.mul, ir.IRBuilder.fmul, VECTOR, VECTOR, VECTOR)
+_register(simd.larger, partial(_chosen, ">"), VECTOR, VECTOR, VECTOR)
+_register(simd.lesser, partial(_chosen, "<"), VECTOR, VECTOR, VECTOR)
+_register(simd.bits_below, partial(_bits, "<"), whole, VECTOR, VECTOR)
+_register(simd.bits_up_to, partial(_bits, "<="), whole, VECTOR, VECTOR)
+_register(simd.select, _select, VECTOR, whole, VECTOR, VECTOR)
+_register(simd.least, partial(_reduced, "<"), real, VECTOR)
+_register(simd.largest, partial(_reduced, ">"), real, VECTOR)
+_register(simd.lowest_bit, lambda builder, mask: builder.cttz(mask, NOT_ZERO), whole, whole)
+_register(simd.prefetch, _prefetch, none, None, whole)
+_register(simd.gather_corners, _gather_corners, none, None, None, None, index, index, index)
+_register(machine_code.load_word, lambda builder, at: builder.load(builder.inttoptr(at, WORD)), whole, whole)
+_register(
+    machine_code.store_word, lambda builder, at, w: builder.store(w, builder.inttoptr(at, WORD)), none, whole, whole
+)
+_register(machine_code.call_entry, _call_entry, whole, whole, whole)

@@ -49,8 +49,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file atomically. Raises OutputError."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -121,23 +120,6 @@ def remove_temporaries() -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[bool]:
-    """Lock a folder while the body runs; False where another process has locked it."""
-    import fcntl  # POSIX alone
-
-    file = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        alone = True
-    except OSError as error:  # a file system may have no locks
-        alone = not isinstance(error, BlockingIOError)
-    try:
-        yield alone
-    finally:
-        os.close(file)
 
 
 @contextlib.contextmanager

@@ -16,7 +16,6 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
@@ -58,14 +57,6 @@ class Outcome(NamedTuple):
         if self.error:
             raise self.error
         return self.result
-
-
-@dataclass
-class _Sent:
-    """A submitted call."""
-
-    future: Any
-    outcome: Outcome | None = None  # once it is fetched
 
 
 class _Call(NamedTuple):
@@ -209,33 +200,33 @@ class Cluster:
         seconds: time limit of one call. waiting: how many finished calls at most wait for an earlier one. Raises
         ClusterError for a lost cluster, and for a worker that differs.
         """
-        sent: deque[_Sent] = deque()
+        sent: deque[Any] = deque()  # futures, in the order of the calls
+        found: dict[Any, Outcome] = {}  # of those that are finished, and wait for an earlier one
         try:
             for args in calls:
-                while not self._has_room(sent, waiting):
-                    yield from self._finished(sent)
+                while len(found) >= waiting or len(sent) - len(found) >= CALLS_PER_WORKER * self._worker_count():
+                    yield from self._finished(sent, found)
                 call = _Call(function, pickle.dumps(args), os.getcwd(), self.identify, self.expected, seconds)
                 future = self.client.submit(call, pure=False)
                 future.add_done_callback(lambda _: self._ended.set())
-                sent.append(_Sent(future))
+                sent.append(future)
             while sent:
-                yield from self._finished(sent)
+                yield from self._finished(sent, found)
         finally:
             with contextlib.suppress(Exception):
-                self.client.cancel([each.future for each in sent], force=True)
+                self.client.cancel([*sent], force=True)
 
-    def _has_room(self, sent: deque[_Sent], waiting: int) -> bool:
-        unfinished = sum(each.outcome is None for each in sent)
-        workers = self.client.scheduler_info(n_workers=-1).get("workers", {})  # none while it is not connected
-        return unfinished < CALLS_PER_WORKER * max(1, len(workers)) and len(sent) - unfinished < waiting
+    def _worker_count(self) -> int:
+        """At least 1, also while the cluster is not connected."""
+        return max(1, len(self.client.scheduler_info(n_workers=-1).get("workers", {})))
 
-    def _finished(self, sent: deque[_Sent]) -> Iterator[Outcome]:
+    def _finished(self, sent: deque[Any], found: dict[Any, Outcome]) -> Iterator[Outcome]:
         """Wait for a call to finish, then take outcomes from the left as far as there are any.
 
         Every result is fetched at once: one that only a worker has is lost with it, and its call runs again.
         """
         lost = time.monotonic() + CONNECT_SECONDS
-        while not (ended := [each for each in sent if each.outcome is None and each.future.done()]):
+        while not (ended := [future for future in sent if future not in found and future.done()]):
             if interrupted.is_set():
                 raise KeyboardInterrupt
             self._ended.wait(POLL_SECONDS)
@@ -244,11 +235,9 @@ class Cluster:
                 lost = time.monotonic() + CONNECT_SECONDS
             elif time.monotonic() > lost:
                 raise self._lost()
-        for each in ended:
-            each.outcome = self._outcome(each.future)
-        while sent and (outcome := sent[0].outcome):
-            sent.popleft()
-            yield outcome
+        found |= {future: self._outcome(future) for future in ended}
+        while sent and sent[0] in found:
+            yield found.pop(sent.popleft())
 
     def _lost(self) -> ClusterError:
         return ClusterError(f"--engine {self.engine}: the scheduler is gone; what is finished is kept")

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 from caster.description.errors import SceneError
@@ -60,17 +60,14 @@ MEANINGS = {
 }
 
 
-def exit_codes_help(meanings: Mapping[int, str]) -> str:
-    """A line for --help with the meanings of exit codes."""
-    return "exit codes: " + ", ".join(f"{code} {meaning}" for code, meaning in meanings.items())
-
-
 def run_command(command: Callable[[], int]) -> int:
     """Run a command, print its error to standard error, and return the exit code.
 
     SceneError and its subclasses carry their own code. Only an unexpected exception shows a traceback.
     """
-    _escape_unencodable()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # which may be unable to encode the characters of a file name
+            stream.reconfigure(errors="backslashreplace")
     with printable_streams():
         try:
             with handled_signals():
@@ -81,14 +78,10 @@ def run_command(command: Callable[[], int]) -> int:
         except BrokenPipeError:
             return _discard_output(PIPE_CLOSED)
         except OSError as error:
-            return _discard_output(report_error(_os_error_text(error), FILE))
-
-
-def _os_error_text(error: OSError) -> str:
-    """The file and the error; for an error that names no file, the folder of temporary files."""
-    if error.filename is not None:
-        return f"{os.fsdecode(error.filename)}: {error.strerror or error}"
-    return f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
+            text = f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
+            if error.filename is not None:
+                text = f"{os.fsdecode(error.filename)}: {error.strerror or error}"
+            return _discard_output(report_error(text, FILE))
 
 
 def _exit_code(command: Callable[[], int]) -> int:
@@ -122,13 +115,6 @@ def _discard_output(code: int) -> int:
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
-
-
-def _escape_unencodable() -> None:
-    """Print characters that the terminal cannot encode as escapes, as they may occur in file names."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 # ---- signals: Ctrl-C, SIGTERM and SIGHUP ----

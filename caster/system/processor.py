@@ -29,10 +29,9 @@ def description() -> str:
 
     Without /proc/cpuinfo: the architecture and the system's name for the processor, which may not identify the model.
     """
-    try:
-        return described(CPUINFO.read_text(errors="replace"), platform.machine())
-    except OSError:
-        return described("", platform.machine()) + (f" ({name})" if (name := platform.processor()) else "")
+    cpuinfo = _text(CPUINFO)
+    name = "" if cpuinfo else platform.processor()
+    return described(cpuinfo, platform.machine()) + (f" ({name})" if name else "")
 
 
 def described(cpuinfo: str, machine: str) -> str:
@@ -60,6 +59,6 @@ def available_bytes() -> float:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text()
+        return path.read_text(errors="replace")
     except OSError:
         return ""

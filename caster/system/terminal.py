@@ -13,10 +13,10 @@ import os
 import re
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from textwrap import wrap
+from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 if TYPE_CHECKING:
@@ -65,16 +65,15 @@ BELOW_NAME = 6 * " "  # of a scene, or of the first line of a message
 def folded(text: str) -> str:
     """The text in lines of at most LINE_CHARACTERS, but for commands, words such as paths, and lines marked below."""
     lines = text.split("\n")
-    marked = [POINTER.match(line) is not None for line in (*lines[1:], "")]
-    return "\n".join(part for line, whole in zip(lines, marked, strict=True) for part in _folded(line, whole))
-
-
-def _folded(line: str, whole: bool) -> list[str]:
-    if whole or len(line) <= LINE_CHARACTERS or COMMAND.match(line):
-        return [line]
-    label = LABEL.match(line)
-    indent = " " * max(label.end() if label else len(line) - len(line.lstrip()), len(BELOW_NAME))
-    return wrap(line, LINE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    short = []
+    for line, below in zip(lines, [*lines[1:], ""], strict=True):
+        if len(line) <= LINE_CHARACTERS or COMMAND.match(line) or POINTER.match(below):
+            short.append(line)
+            continue
+        label = LABEL.match(line)
+        indent = " " * max(label.end() if label else len(line) - len(line.lstrip()), len(BELOW_NAME))
+        short += wrap(line, LINE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(short)
 
 
 class PrintableStream:
@@ -87,10 +86,6 @@ class PrintableStream:
         with self._named_errors():
             self.unfiltered.write(printable(text))
         return len(text)
-
-    def writelines(self, lines: Iterable[str]) -> None:
-        for line in lines:
-            self.write(line)
 
     def flush(self) -> None:
         with self._named_errors():
@@ -190,13 +185,11 @@ class ProgressBar:
     `add` is thread-safe; `close` must be called on every path.
     """
 
-    def __init__(
-        self, what: str, total: int, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, what: str, total: int) -> None:
         global _stage
-        self.what, self.total, self.clock = what, total, clock
-        self.line = StatusLine(stream)
-        self.start = clock()
+        self.what, self.total = what, total
+        self.line = StatusLine()
+        self.start = monotonic()
         self.next = self.start + QUIET_SECONDS
         self.done, self.extra = 0, ""
         self.closed = threading.Event()
@@ -212,10 +205,16 @@ class ProgressBar:
             self._draw()
 
     def _draw(self) -> None:
-        now = self.clock()
-        if now >= self.next and self.done < self.total and not self.closed.is_set():
-            self.next = now + REFRESH_SECONDS
-            self.line.show(self._text(now - self.start))
+        now = monotonic()
+        if now < self.next or self.done >= self.total or self.closed.is_set():
+            return
+        self.next = now + REFRESH_SECONDS
+        seconds, share = now - self.start, self.done / self.total
+        filled = round(BAR_CHARACTERS * share)
+        bar = f"{self.what} {'#' * filled}{'-' * (BAR_CHARACTERS - filled)} {100 * share:.0f} %"
+        left = f"{seconds / share - seconds:.0f} s left" if share else ""
+        stage = _stage[:].strip(b" \0").decode() if _stage is not None else ""
+        self.line.show(", ".join([bar, *filter(None, [self.extra, left, stage])]))
 
     def _keep_drawing(self) -> None:
         """Show the stage while nothing is counted."""
@@ -235,14 +234,6 @@ class ProgressBar:
         self.closed.set()
         with _drawing:
             self.line.erase()
-
-    def _text(self, seconds: float) -> str:
-        share = self.done / self.total
-        filled = round(BAR_CHARACTERS * share)
-        bar = f"{self.what} {'#' * filled}{'-' * (BAR_CHARACTERS - filled)} {100 * share:.0f} %"
-        left = f"{seconds / share - seconds:.0f} s left" if share else ""
-        stage = _stage[:].strip(b" \0").decode() if _stage is not None else ""
-        return ", ".join([bar, *filter(None, [self.extra, left, stage])])
 
 
 @contextlib.contextmanager

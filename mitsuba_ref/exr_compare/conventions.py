@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from caster.description.errors import SceneError, suggestion
+from caster.image.channels import hit_mask
 from caster.image.exr import Exr
-from caster.image.exr_info import hit_mask
 from caster.image.exr_validation import PROVENANCE_PREFIX
 from caster.scene.model import Scene
 from caster.system.process import NOT_COMPARABLE

@@ -16,8 +16,8 @@ import numpy as np
 
 from caster.aovs import AOVS
 from caster.description.errors import SceneError
+from caster.image.channels import hit_mask
 from caster.image.exr import Exr
-from caster.image.exr_info import hit_mask
 from caster.scene.model import Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import Array, Rays

@@ -35,7 +35,7 @@ def aov(name, evaluate, channels, needs, dtype=np.float64, miss=0.0):
         DTYPE=dtype,
         MISS=miss,
         NEEDS=needs,
-        PREVIEW="position",
+        PREVIEW="ranges",
         evaluate=evaluate,
     )
 

@@ -11,6 +11,7 @@ from caster.__main__ import main
 from caster.cli.inspection import probe
 from caster.geometry.packing import pack
 from caster.kernels.triangles import Triangles
+from caster.rendering.images import trace_film
 
 SCENE = """
 [film]
@@ -33,7 +34,14 @@ name = "box"
 to_world = [{{ scale = 0.4 }}, {{ rotate = {{ axis = [1, 2, 3], degrees = 9 }} }},
     {{ translate = [0.7, 0.3, 1] }}]
 """
-AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "prim_id")
+FIELDS = {
+    "n": "normal",
+    "sh_n": "shading_normal",
+    "p": "position",
+    "uv": "uv",
+    "shape_id": "shape_id",
+    "prim_id": "prim_id",
+}
 
 
 @pytest.fixture
@@ -55,23 +63,23 @@ def probed(capsys, x, y, *options):
 @pytest.mark.parametrize("camera", ["pinhole", "orthographic", "fisheye", "panorama", "parabolic"])
 def test_every_pixel_has_the_bits_of_render(folder, camera):
     scene = write(folder, camera)
-    images = caster.render(scene, AOVS)
+    images = caster.render(scene, ("depth", *FIELDS.values()))
     assert images.hit.any() and images.hit.all() == (camera == "orthographic")  # which looks at the plane
     for y, x in [*np.ndindex(images.hit.shape)][::5]:
-        found = probe(scene, x, y).view
-        assert found.hit[0] == images.hit[y, x]
-        if found.hit[0]:
-            assert all(np.array_equal(getattr(found, aov)[0], images[aov][y, x]) for aov in AOVS if aov != "depth")
-            assert np.float32(found.nearest.t[0]) == np.float32(images["depth"][y, x])  # d is of length 1 to an ulp
+        hit = probe(scene, x, y)["hit"]
+        assert (hit is not None) == images.hit[y, x]
+        if hit:
+            assert all(np.array_equal(hit[field], images[aov][y, x]) for field, aov in FIELDS.items())
+            assert np.float32(hit["t"]) == np.float32(images["depth"][y, x])  # d is of length 1 to an ulp
 
 
 def test_the_numbers_of_json_are_exact(folder, capsys):
     scene = write(folder)
-    found, expected = probed(capsys, 7, 3), probe(scene, 7, 3)
-    o, d = (vectors[0].tolist() for vectors in expected.view.rays[:2])
+    found, expected = probed(capsys, 7, 3), trace_film(scene.with_pixel(7, 3))
+    o, d = (vectors[0].tolist() for vectors in expected.rays[:2])
     assert found["ray"] == {"o": o, "d": d, "t_min": 0.0, "t_max": None}
-    assert found["hit"]["t"] == expected.view.nearest.t[0] and [found["hit"]["n"]] == expected.view.normal.tolist()
-    assert [each["t"] for each in found["alone"]] == [each.t for each in expected.alone]
+    assert found["hit"]["t"] == expected.nearest.t[0] and [found["hit"]["n"]] == expected.normal.tolist()
+    assert found.items() >= probe(scene, 7, 3).items()
     assert (found["scene"], found["pixel"], found["film"]) == ("s.toml", [7, 3], [12, 9])
     assert [(hit["shape"], hit["type"]) for hit in found["alone"]][:2] == [("box", "cube"), ("ball", "sphere")]
     assert found["hit"].items() >= {name: found["alone"][0][name] for name in ("shape", "t", "prim_id")}.items()
@@ -80,7 +88,7 @@ def test_the_numbers_of_json_are_exact(folder, capsys):
 
 def test_the_text_shows_ray_hit_and_near_primitives(folder, capsys):
     scene = write(folder)
-    t, prim = (each[0] for each in probe(scene, 7, 3).view.nearest[:2])
+    t, prim = (each[0] for each in trace_film(scene.with_pixel(7, 3)).nearest[:2])
     assert main(["probe", "s.toml", "7", "3"]) == 0
     said = capsys.readouterr().out
     assert said.startswith("pixel (7, 3) of s.toml, film 12 x 9\nray    o      0.3  0.4  5.0\n")
@@ -149,22 +157,23 @@ def test_each_primitive_answers_as_if_it_stood_alone(folder):
     kinds = set()
     for x, y in ((5, 4), (7, 3), (0, 0)):
         found = probe(scene, x, y)
-        hits = [each for each in found.alone if np.isfinite(each.t)]
-        t_of = {(each.shape_id, each.prim_id): each.t for each in hits}
+        hits = [each for each in found["alone"] if each["t"] is not None]
+        t_of = {(each["shape_id"], each["prim_id"]): each["t"] for each in hits}
+        ray = ([found["ray"]["o"]], [found["ray"]["d"]])
         for shape_id, prim_id in [*t_of, (0, 79), (1, 0), (2, 0), (3, 0)]:
-            alone = caster.cast(single(scene, shape_id, prim_id), *found.view.rays[:2])
+            alone = caster.cast(single(scene, shape_id, prim_id), *ray)
             assert t_of.get((shape_id, prim_id), np.inf) == alone.t[0]
             kinds.add((shape_id, bool(alone.hit[0])))
-        assert [each.t for each in hits] == sorted(t_of.values())
-        assert found.view.hit[0] == bool(hits)
-        assert not hits or (hits[0].shape_id, hits[0].prim_id) == (found.view.shape_id[0], found.view.prim_id[0])
+        assert [each["t"] for each in hits] == sorted(t_of.values())
+        assert (found["hit"] is not None) == bool(hits)
+        assert not hits or all(hits[0][name] == found["hit"][name] for name in ("shape_id", "prim_id"))
     assert len(kinds) >= 3
 
 
 def test_a_ray_through_an_edge_is_decided_by_integers(capsys):
     path = str(SCENES / "shared-edges-cube.toml")
-    on_edge, other = probe(caster.load_scene(path).with_film(width=15, height=15), 7, 7).alone[:2]
-    assert on_edge.t == other.t == 1.0 and on_edge.error == np.inf
+    on_edge, other = probe(caster.load_scene(path).with_film(width=15, height=15), 7, 7)["alone"][:2]
+    assert on_edge["t"] == other["t"] == 1.0 and on_edge["t_off"] is None
     assert main(["probe", path, "7", "7", "--size", "15", "15"]) == 0
     assert "integers: undecided in float64" in capsys.readouterr().out
 

@@ -7,7 +7,7 @@ import pytest
 
 from caster.jit.command_list import BoundCall, Command, CommandList
 from caster.jit.decorators import jit
-from caster.kernels.raster.tile import BOX, COUNT, HEIGHT, LINES, WIDTH, kind_numbers, tile_boxes, tile_rows
+from caster.kernels.raster.tile import BOX, HEIGHT, WIDTH, tile_boxes, tile_rows
 from caster.rendering.rasterization import MAX_TILES_PER_PIECE, parallel_for_tiles
 
 
@@ -110,23 +110,6 @@ def test_a_failing_kernel_and_a_failing_function_end_the_list_which_can_be_run_a
     assert seen == [0, 1, 2, 3, 4] and numbers.tolist() == [1, 1, 0, 1] + [0] * 6
     commands.run(0, 2)
     assert numbers.tolist() == [2, 2, 0, 1] + [0] * 6
-
-
-@pytest.mark.parametrize(("width", "height"), [(1, 1), (WIDTH, HEIGHT), (WIDTH + 1, 3), (300, 200)])
-def test_rows_of_tiles_have_their_boxes_and_what_there_is_of_each_kind(width, height):
-    boxes = list(tile_boxes(width, height))
-    rng, count = np.random.default_rng(230), len(boxes)
-    runs = [np.concatenate([[5], 5 + np.cumsum(rng.integers(0, 2, count))]) for _ in range(3)]
-    for given in (runs, None):
-        rows = tile_rows(width, height, 3, given)
-        assert rows.dtype == np.int64 and rows.flags.c_contiguous and len(rows) == count
-        for n, (row, box) in enumerate(zip(rows.tolist(), boxes, strict=True)):
-            lines = box[3] - box[1]
-            assert (tuple(row[BOX]), row[LINES], row[COUNT]) == (box, lines, lines * WIDTH)
-            present = [True] * 3 if given is None else [bool(run[n] < run[n + 1]) for run in runs]
-            for k, at in enumerate(map(kind_numbers, range(3))):
-                assert row[at.present] == present[k]
-                assert row[at.run] == ([0, 0] if given is None else [runs[k][n], runs[k][n + 1]])
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

@@ -19,7 +19,6 @@ from caster.aovs import AOVS, Aovs
 from caster.image.channels import aovs_to_channels, channels_to_aovs
 from caster.image.exr import NO_ID
 from caster.rendering import images
-from caster.system.process import INTERRUPTED
 
 SCENE, SIZE, CROP = str(ROOT / "scenes/flat-shapes.toml"), (24, 18), (5, 3, 20, 17)
 NAMES = tuple(aov.NAME for aov in AOVS)
@@ -103,21 +102,6 @@ def test_of_a_large_film_two_bands_at_most_are_in_memory(tmp_path, monkeypatch, 
     words = ["render", SCENE, "-o", str(tmp_path / "image.exr"), "--size", "8", "640", "--aov", "normal"]
     assert main(words) == 0 and "8 x 640 pixels" in capsys.readouterr().out
     assert len(most) == 10 and max(most) == 2
-
-
-def test_an_interruption_between_bands_keeps_the_older_file(tmp_path, monkeypatch, capsys):
-    def interrupted(scene, *arguments, **options):
-        if scene.film.window[1] > 0:
-            raise KeyboardInterrupt
-        return render_film(scene, *arguments, **options)
-
-    render_film = images.render_film
-    monkeypatch.setattr(images, "render_film", interrupted)
-    monkeypatch.setattr(images, "BAND_PIXELS", 1)
-    (tmp_path / "image.exr").write_bytes(b"older")
-    words = ["render", SCENE, "-o", str(tmp_path / "image.exr"), "--size", "8", "100"]
-    assert main(words) == INTERRUPTED and capsys.readouterr().err.endswith("interrupted\n")
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"older"]
 
 
 @pytest.mark.slow("renders 268 million pixels")

@@ -105,7 +105,7 @@ REFUSED = {
     "not decoded": (  # the library cannot read all that it writes, and leaves such parts out
         {"rgba": of("A"), "mip": of("Z")},
         {"mip": {"type": OpenEXR.tiledimage, "tiles": TILES}},
-        "cannot read part 'mip': damaged, truncated or of a kind not known",
+        "cannot read part 'mip': damaged, truncated or of an unknown kind",
     ),
     "contradiction": (
         {"a": of("A"), "b": of("Z")},

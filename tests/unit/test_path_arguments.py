@@ -12,9 +12,9 @@ import caster.__main__
 import mitsuba_ref.__main__
 from caster.cli import COMMANDS
 from caster.cli.application import build_parser
-from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, _own_folder, output_file_unless_number
 from caster.system import atomic_files
-from caster.system.atomic_files import ScratchFolder, atomic_write, locked, remove_temporaries
+from caster.system.atomic_files import ScratchFolder, atomic_write, remove_temporaries
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 PROGRAMS = {"caster": (caster.__main__.main, COMMANDS), "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS)}
@@ -126,8 +126,8 @@ def test_a_folder_that_another_run_writes_into_is_refused_and_an_empty_one_is_re
     argv = ["validate", missing, "--out", str(out)]
     assert mitsuba_ref.__main__.main(argv) == 4 and not out.exists()
     out.mkdir()
-    with locked(out) as alone:
-        assert alone and mitsuba_ref.__main__.main(argv) == 4
+    with _own_folder(out):
+        assert mitsuba_ref.__main__.main(argv) == 4
     assert "another run writes into this folder" in capsys.readouterr().err and out.exists()
 
 

@@ -4,6 +4,7 @@ import io
 import os
 import re
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -56,13 +57,12 @@ def assert_erased(written):
     assert written.count("\x1b[?25h") == 1, "the cursor is shown again"
 
 
-class Clock:
-    """Seconds that pass when a test says so."""
-
-    now = 0.0
-
-    def __call__(self):
-        return self.now
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds, `now`, that pass when a test says so."""
+    found = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(progress, "monotonic", lambda: found.now)
+    return found
 
 
 @pytest.fixture
@@ -86,10 +86,10 @@ def terminal(monkeypatch):
     os.close(outer)
 
 
-def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
+def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal, monkeypatch, clock):
     stream, read = terminal
-    clock = Clock()
-    bar = ProgressBar("validating", 10, stream, clock)
+    monkeypatch.setattr("sys.stderr", stream)
+    bar = ProgressBar("validating", 10)
     clock.now = QUIET_SECONDS
     bar.add(3, "1 of 2 scenes")
     clock.now = 2 * QUIET_SECONDS
@@ -118,7 +118,8 @@ def test_before_anything_is_counted_the_bar_says_what_a_fork_does(terminal, monk
     stream, read = terminal
     monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
     monkeypatch.setattr(progress, "TICK_SECONDS", 0.02)
-    bar = ProgressBar("validating", 10, stream)
+    monkeypatch.setattr("sys.stderr", stream)
+    bar = ProgressBar("validating", 10)
     if not (child := os.fork()):
         progress.report_stage("asking Mitsuba")
         os._exit(0)
@@ -130,55 +131,39 @@ def test_before_anything_is_counted_the_bar_says_what_a_fork_does(terminal, monk
 
 
 @pytest.mark.parametrize("stream", [None, io.StringIO()], ids=["closed", "pipe"])
-def test_without_a_terminal_work_goes_on_and_nothing_is_drawn(monkeypatch, stream):
+def test_without_a_terminal_work_goes_on_and_nothing_is_drawn(monkeypatch, clock, stream):
     monkeypatch.setattr("sys.stderr", stream)
-    clock = Clock()
-    bar = ProgressBar("rendering", 10, clock=clock)
+    bar = ProgressBar("rendering", 10)
     clock.now = 2 * QUIET_SECONDS
     bar.add(5)
     bar.close()
     assert bar.done == 5 and (stream is None or stream.getvalue() == "")
 
 
-def sweeping():
-    line = StatusLine()
-    line.show(f"1/22 scale: {'m' * 50}")
-    return line.erase
-
-
-def fuzzing():
-    line = StatusLine()
-    line.show("f" * 50)
-    return line.erase
-
-
-LINES = pytest.mark.parametrize("said", [sweeping, fuzzing])
-
-
-@LINES
-def test_every_line_is_cut_to_the_terminal_and_erased_once(terminal, monkeypatch, said):
+def test_a_line_is_cut_to_the_terminal_and_erased_once(terminal, monkeypatch):
     """A wrapped line could not be erased."""
     stream, read = terminal
     monkeypatch.setenv("COLUMNS", "30")
     monkeypatch.setattr("sys.stderr", stream)
-    end = said()
+    line = StatusLine()
+    line.show(f"1/22 scale: {'m' * 50}")
     drawn = read()
-    (line,) = screen(drawn)
-    assert len(line) == 30
-    end()
-    end()
+    assert list(map(len, screen(drawn))) == [30]
+    line.erase()
+    line.erase()
     erased = read()
     assert_erased(erased)
     assert screen(drawn + erased) == []
 
 
-@LINES
 @pytest.mark.parametrize("where", ["closed", "dumb"])
-def test_no_line_needs_a_terminal(terminal, monkeypatch, said, where):
+def test_no_line_needs_a_terminal(terminal, monkeypatch, where):
     stream, read = terminal
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr("sys.stderr", None if where == "closed" else stream)
-    said()()
+    line = StatusLine()
+    line.show("f" * 50)
+    line.erase()
     assert "\x1b" not in read()
 
 
