@@ -1,6 +1,6 @@
 """Nearest hits of any rays, on all cores. Rays that float64 leaves uncertain are cast again and decided exactly."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -8,15 +8,20 @@ import numpy as np
 from caster.geometry.packing import Kind, Packed
 from caster.kernels.bvh.traversal import find_first_in_tree
 from caster.kernels.nearest import Nearest, Rays, find_first, hit_precedes, merge, no_hits
-from caster.kernels.raster.tile import store_nearest
+from caster.kernels.raster.tile import load_rays, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import fan_tiles
-from caster.rendering.ray_tiles import RayTiles, TileCaster, new_workspace, tiles_in_order
-from caster.rendering.threads import parallel_for, unwritten_array
+from caster.rendering.ray_tiles import Piece, RayTiles, TileCaster, TileWorkspace, new_workspace, tiles_in_order
+from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
 
 Culling = Literal["brute-force", "raster", "bvh"]
+
+
+def trees_of(culling: Culling) -> Callable[[Kind], bool]:
+    """Which kinds are cast at through their trees, if none are rasterized."""
+    return uses_bvh if culling == "bvh" else lambda kind: False
 
 
 def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
@@ -24,7 +29,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     trees = culling != "brute-force"
     tiles = fan_tiles(packed, rays, threads) if trees else None
     if tiles is None:
-        caster = TileCaster(packed, any_hit=False, uses_tree=uses_bvh if trees else (lambda kind: False))
+        caster = TileCaster(packed, any_hit=False, uses_tree=trees_of(culling))
         tiles = tiles_in_order(caster, rays, threads)
     nearest, uncertain = _cast(packed, rays, tiles, threads)
     rows = np.flatnonzero(uncertain)
@@ -35,14 +40,29 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     return nearest
 
 
-def _cast(packed: Packed, rays: Rays, tiles: Iterator[RayTiles], threads: int | None) -> tuple[Nearest, np.ndarray]:
+def _cast(packed: Packed, rays: Rays, tiles: list[RayTiles], threads: int | None) -> tuple[Nearest, np.ndarray]:
     """(hits by float64, whether others may be nearer (n,) bool)."""
     count, ids = len(rays.t_min), packed.prim_ids
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
     uncertain = unwritten_array((count,), bool)
     for each in tiles:
-        each.cast(rays, lambda tile, numbers: store_nearest(tile, numbers, ids, nearest, uncertain), threads)
+        each.caster.prepare(threads)
+
+        def begin(of: RayTiles = each) -> Callable[[Piece], None]:
+            workspace = TileWorkspace()
+            tile = workspace.tile
+            cast = of.caster.begin(tile, workspace.ray_groups)
+
+            def work(piece: Piece) -> None:
+                numbers = of.numbers(piece)
+                load_rays(rays, numbers, tile)
+                cast(len(numbers))
+                store_nearest(tile, numbers, ids, nearest, uncertain)
+
+            return work
+
+        parallel_for_pieces(begin, each.pieces, min(thread_count(threads), len(each.pieces)))
     return nearest, uncertain
 
 
@@ -86,19 +106,12 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
 
         parallel_for(work, count, threads, least=MIN_EXACT_PER_THREAD)
         merge(nearest, found, kind.ids, contested, 0, count)
-        for i in np.flatnonzero(contested):
-            _decide_between(packed, kind, rays, nearest, found, int(i))
+        for i in np.flatnonzero(contested).tolist():  # float64 cannot decide which kind comes first
+            k, held = int(found.prim[i]), int(nearest.prim[i])
+            number = int(kind.ids[k])
+            other, j = packed.place_of(held) if held >= 0 else (kind, k)
+            if held < 0 or hit_precedes(kind.prims, k, number, other.prims, j, held, rays, i):
+                nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], number, found.error[i]
     hit = nearest.prim >= 0  # the exact t is in (t_min, t_max]; rounded to float64 it may lie outside
     nearest.t[hit] = np.clip(nearest.t[hit], np.nextafter(rays.t_min[hit], np.inf), rays.t_max[hit])
     return nearest
-
-
-def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, found: Nearest, i: int) -> None:
-    """Merge the hit of one kind along ray i, where float64 cannot decide which comes first."""
-    k, held = int(found.prim[i]), int(nearest.prim[i])
-    mine = kind.prims, k, int(kind.ids[k])
-    if held >= 0:
-        other, j = packed.place_of(held)
-        if not hit_precedes(*mine, other.prims, j, held, rays, i):
-            return
-    nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], mine[2], found.error[i]

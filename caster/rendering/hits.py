@@ -86,7 +86,9 @@ class RayHits:
         count = len(self.rays.t_min)
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
-        planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
+        planned, prim = plan(self.scene, aovs, "bvh"), self.nearest.prim
+        if len(self.packed.kinds) > 1:
+            prim = np.where(self.hit, self.packed.places[prim], -1)  # tiles count primitives kind by kind
         start = np.append(self.start, np.zeros(-count % WIDTH)).reshape(window.height, window.width)
         shader = TileShader(self.scene, self.packed, planned, images, start=start, exact_shadows=True)
 
@@ -108,11 +110,6 @@ class RayHits:
         rows = tile_rows(window.width, window.height, len(self.packed.kinds))
         parallel_for_tiles(begin, rows, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
-
-    def _prim_in_tile(self) -> np.ndarray:
-        """(n,) number of the primitive that each ray hits, counted kind by kind, -1 on a miss."""
-        prim = self.nearest.prim
-        return prim if len(self.packed.kinds) <= 1 else np.where(self.hit, self.packed.places[prim], -1)
 
 
 def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray) -> RayHits:
@@ -194,15 +191,16 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
     """`validated_rays`, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
-    count = max(len(origins), len(directions)) if len(origins) and len(directions) else 0
+    counts = len(origins), len(directions)
+    count = counts[0] if counts[1] == 1 else counts[1]
+    if counts[0] not in (1, count):
+        got = f"{counts[0]} and {counts[1]}"
+        raise SceneError(f"rays: o and d must have equal lengths, or one of them be a single vector, got {got}")
     origins, directions = (
-        np.ascontiguousarray(np.broadcast_to(rows, (count, 3))) if len(rows) == 1 else rows
+        rows if len(rows) == count else np.ascontiguousarray(np.broadcast_to(rows, (count, 3)))
         for rows in (origins, directions)
     )
-    if len(origins) != len(directions):
-        got = f"{len(origins)} and {len(directions)}"
-        raise SceneError(f"rays: o and d must have equal lengths, or one of them be a single vector, got {got}")
-    start, end = _limits(t_min, "t_min", len(origins)), _limits(t_max, "t_max", len(origins))
+    start, end = _limits(t_min, "t_min", count), _limits(t_max, "t_max", count)
     if not np.all(start >= 0.0) or np.isnan(end).any():
         i = int(np.argmin((start >= 0.0) & ~np.isnan(end)))
         which = "rays" if start.strides == end.strides == (0,) else f"rays[{i}]"
@@ -211,7 +209,7 @@ def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_ma
     found: list[int] = []
     parallel_for(
         lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)),
-        len(origins),
+        count,
         least=MIN_RAYS_PER_THREAD,
     )
     if bad := [i for i in found if i >= 0]:

@@ -15,46 +15,18 @@ from caster.geometry.packing import Packed
 from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import (
-    BOX,
-    COUNT,
-    DX,
-    DY,
-    DZ,
-    NORMALS,
-    OX,
-    OY,
-    OZ,
-    SURFACES,
-    SURFACES_WITH_UV,
-    T_MAX,
-    T_MIN,
-    UNCERTAIN,
-    Box,
-    T,
-    kind_numbers,
-)
+from caster.kernels.raster.tile import BOX, COUNT, DX, DY, DZ, OX, OY, OZ, T_MAX, T_MIN, UNCERTAIN, Box, T, kind_numbers
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
-from caster.kernels.surface.per_hit import (
-    NO_IDS,
-    PrimitiveIds,
-    flip_normals_in_tile,
-    new_surface_buffer,
-    surfaces_in_tile,
-    write_aov,
-)
+from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, flip_normals_in_tile, surfaces_in_tile, write_aov
 from caster.kernels.surface.texturing import textures_in_tile
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
 from caster.rendering.ray_tiles import TileCaster, TileWorkspace, placed_kinds
 from caster.rendering.threads import unwritten_array
-from caster.scene.model import Material, Scene
+from caster.scene.model import Scene
 from caster.scene.textures import texture_arrays
 
 NO_START = np.empty((0, 0))
-
-# For AOVs that read no field of it.
-UNUSED_SURFACE = new_surface_buffer()
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -84,9 +56,11 @@ class TileShader:
     ) -> None:
         self.images, self.start = images, start
         self._packed, self._plan, self._exact = packed, plan, exact_shadows
-        self._ids = _primitive_ids(packed, plan.needs)
+        self._ids = NO_IDS
+        if packed.kinds and plan.needs & {"shape_id", "prim_id"}:
+            self._ids = PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
         shaded = packed.kinds and plan.needs & {"albedo", "radiance"}
-        self._materials = material_tables(scene, packed) if shaded else None
+        self._materials = material_tables(scene) if shaded else None
         self._textures = None
         if shaded and any(scene.textures):
             derived = packed.kinds[0].derived  # goes with the packed numbers
@@ -98,7 +72,7 @@ class TileShader:
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
         self._lights: list[tuple[Any, TileCaster | None]] = []  # and the casters of their shadow rays
         for light in (each.pack() for each in lights if each.type != "ambient"):
-            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if plan.shadows.runs else None
+            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if plan.shadows else None
             self._lights.append((light, caster))
         self._ambient = np.array([light.radiance for light in lights if light.type == "ambient"]).reshape(-1, 3)
 
@@ -119,16 +93,14 @@ class TileShader:
         if not packed.kinds:
             yield from self.miss_commands()
             return
-        if plan.surfaces:
-            wants = SURFACES if "position" in plan.surfaces else NORMALS
-            wants = SURFACES_WITH_UV if "uv" in plan.surfaces else wants
+        if plan.surfaces is not None:
             for k, (kind, first) in enumerate(placed_kinds(packed)):
                 about = kind.prims, (first, first + len(kind.ids)), ws.tile, BOX, ws.surface, ws.lanes
-                yield command(surfaces_in_tile, *about, wants, when=kind_numbers(k).present)
+                yield command(surfaces_in_tile, *about, plan.surfaces, when=kind_numbers(k).present)
             if packed.flipped is not None:
                 yield command(flip_normals_in_tile, ws.tile, BOX, packed.flipped[packed.prim_shapes], ws.surface)
         if self._materials is not None:
-            yield command(materials_in_tile, ws.tile, BOX, *self._materials, ws.surface)
+            yield command(materials_in_tile, ws.tile, BOX, packed.prim_shapes, *self._materials, ws.surface)
         if self._textures is not None:
             yield command(textures_in_tile, ws.tile, BOX, packed.prim_shapes, self._textures, ws.surface)
         for light, caster in self._lights:
@@ -136,8 +108,7 @@ class TileShader:
         if len(self._ambient):
             yield command(add_ambient, ws.tile, BOX, ws.surface, self._ambient)
         for name, image in self.images.items():
-            surface = UNUSED_SURFACE if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"} else ws.surface
-            yield command(write_aov, kernel_of(name), ws.tile, BOX, surface, self._ids, self.start, image)
+            yield command(write_aov, kernel_of(name), ws.tile, BOX, ws.surface, self._ids, self.start, image)
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""
@@ -178,24 +149,8 @@ def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
         values(UNCERTAIN)[rows] = 0.0
 
 
-def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
-    if not packed.kinds or not needs & {"shape_id", "prim_id"}:
-        return NO_IDS
-    return PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
-
-
-def distinct_materials(scene: Scene) -> tuple[list[Material], np.ndarray]:
-    """(distinct materials, (shapes,) int32 number of each shape's material)."""
-    named = {shape.material: scene.material_of(shape) for shape in scene.shapes}
-    found = {(*material.color, material.two_sided): material for material in named.values()}
-    rows = {key: row for row, key in enumerate(found)}
-    row_of = {name: rows[(*each.color, each.two_sided)] for name, each in named.items()}
-    return list(found.values()), np.array([row_of[shape.material] for shape in scene.shapes], np.int32)
-
-
-def material_tables(scene: Scene, packed: Packed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(material of each primitive, reflectance (n, 3) of the materials, whether both sides of each are lit (n,))."""
-    materials, of_shapes = distinct_materials(scene)
-    of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
+def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """(reflectance (n, 3), whether both sides are lit (n,)) of each shape."""
+    materials = [scene.material_of(shape) for shape in scene.shapes]
     reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
-    return of_prims, reflectance, np.array([material.two_sided for material in materials], bool)
+    return reflectance, np.array([material.two_sided for material in materials], bool)

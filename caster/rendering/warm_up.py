@@ -52,21 +52,17 @@ def warm_up(scenes: Iterable[Scene]) -> WarmUpCounts:
     log = COMPILATION_LOG
     compiled, loaded = len(log.compiled), len(log.loaded)
     for scene in scenes:
-        _warm_one(scene)
+        small = scene.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE, crop=None)
+        planned = culling_for(small.camera.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))
+        for culling in get_args(Culling):
+            if culling != "raster" or planned == "raster":
+                for aovs in WARM_UP_AOV_SETS:
+                    render_film(small, aovs, threads=1, culling=culling)
+        render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
+        for trees in (True, False):
+            warm_decisions(small, BVH_MIN_RAYS + 1, trees)
+        _warm_rays(packed(small))
     return WarmUpCounts(len(log.compiled) - compiled, len(log.loaded) - loaded)
-
-
-def _warm_one(scene: Scene) -> None:
-    small = scene.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE, crop=None)
-    planned = culling_for(small.camera.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0]
-    for culling in get_args(Culling):
-        if culling != "raster" or planned == "raster":
-            for aovs in WARM_UP_AOV_SETS:
-                render_film(small, aovs, threads=1, culling=culling)
-    render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
-    for trees in (True, False):
-        warm_decisions(small, BVH_MIN_RAYS + 1, trees)
-    _warm_rays(packed(small))
 
 
 def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:

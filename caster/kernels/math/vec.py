@@ -118,6 +118,12 @@ def unit_direction(a: Vec3) -> Vec3:
     return a if abs(dot(a, a) - 1.0) <= UNIT_SQUARE_ATOL else normalize(a)
 
 
+@inlined
+def fast_unit_direction(a: Vec3) -> tuple[bool, Vec3]:
+    """(whether this is `unit_direction(a)`, a), without a branch."""
+    return abs(dot(a, a) - 1.0) <= UNIT_SQUARE_ATOL, a
+
+
 @jit
 def scaled_near_one(a: Vec3) -> Vec3:
     """a times a power of two, which is exact: its largest component is in [1/2, 1), or it is zero."""

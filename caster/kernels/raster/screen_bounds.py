@@ -48,31 +48,9 @@ ProjectedPoint = tuple[float, float, float, float]
 DEPTH_ROUNDING = 1.0 - 2.0**-40
 
 
-NO_POINTS = math.inf, math.inf, -math.inf, -math.inf, math.inf
-"""(left, top, right, bottom, least depth) before the first point."""
-
-
-@inlined
-def box_union_point(box: tuple[float, float, float, float, float], point: ProjectedPoint) -> Any:
-    """A box and least depth extended by a point."""
-    x, y, wide, depth = point
-    left, top, right, bottom, least = box
-    return (min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth))
-
-
 @inlined
 def projected_corner(bounds: Any, i: int) -> ProjectedPoint:
     return bounds.projected[i, 0], bounds.projected[i, 1], bounds.projected[i, 2], bounds.projected[i, 3]
-
-
-@inlined
-def projected_hull(bounds: Any, corners: Any, k: int) -> Any:
-    """(box and least depth, largest depth) of hull k."""
-    box, deepest = NO_POINTS, -math.inf
-    for j in range(corners.shape[1]):
-        point = projected_corner(bounds, corners[k, j])
-        box, deepest = box_union_point(box, point), max(deepest, point[3])
-    return box, deepest
 
 
 @inlined
@@ -189,8 +167,12 @@ def bound_hulls(
         if corners.shape[1] == 0:
             store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
             continue
-        box, deepest = projected_hull(bounds, corners, k)
-        left, top, right, bottom, least = box
+        left, top, right, bottom, least, deepest = math.inf, math.inf, -math.inf, -math.inf, math.inf, -math.inf
+        for j in range(corners.shape[1]):
+            x, y, margin, depth = projected_corner(bounds, corners[k, j])
+            left, top = min(left, x - margin), min(top, y - margin)
+            right, bottom = max(right, x + margin), max(bottom, y + margin)
+            least, deepest = min(least, depth), max(deepest, depth)
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, hypotenuse(wide, high))
         if not valid or more > wide + high:

@@ -51,39 +51,26 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 
 @generic_inlined
-def light_direction(light: Any, p: Vec3) -> Any:
-    """(d, reach): the direction from p to the light, and its distance in lengths of d."""
+def light_at(light: Any, p: Vec3) -> Any:
+    """(d, reach, unit, irradiance): d from p to the light, whose distance is `reach` lengths of d; d at length 1, and
+    the irradiance across it.
+    """
 
 
-@generic_inlined
-def incident_irradiance(light: Any, p: Vec3) -> Any:
-    """(unit vector from p to the light, irradiance across it)."""
-
-
-@implement(light_direction, PointLight)
-def _direction_to_point_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
-    return sub(light.position, p), 1.0
-
-
-@implement(incident_irradiance, PointLight)
-def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
+@implement(light_at, PointLight)
+def _point_light_at(light: Any, p: Vec3) -> tuple[Vec3, float, Vec3, Vec3]:
     """Intensity over squared distance; 0 at the light itself."""
     d = sub(light.position, p)
     square = dot(d, d)
     apart = square > 0.0
     safe = square if apart else 1.0
     r, g, b = light.intensity
-    return scaled(1.0 / math.sqrt(safe), d), select(apart, (r / safe, g / safe, b / safe), NOWHERE)
+    return d, 1.0, scaled(1.0 / math.sqrt(safe), d), select(apart, (r / safe, g / safe, b / safe), NOWHERE)
 
 
-@implement(light_direction, DirectionalLight)
-def _direction_to_directional_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
-    return light.back, math.inf
-
-
-@implement(incident_irradiance, DirectionalLight)
-def _irradiance_of_directional_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
-    return light.back, light.irradiance
+@implement(light_at, DirectionalLight)
+def _directional_light_at(light: Any, p: Vec3) -> tuple[Vec3, float, Vec3, Vec3]:
+    return light.back, math.inf, light.back, light.irradiance
 
 
 @inlined
@@ -92,7 +79,7 @@ def received_irradiance(light: Any, p: Vec3, sh_n: Vec3, d: Vec3, two_sided: boo
 
     The shading normal decides about sides. One-sided surfaces are dark from behind.
     """
-    towards, irradiance = incident_irradiance(light, p)
+    _, _, towards, irradiance = light_at(light, p)
     cosine, facing = dot(towards, sh_n), -dot(d, sh_n)
     faces = cosine * facing > 0.0 if two_sided else (cosine > 0.0) & (facing > 0.0)
     return faces, scaled(abs(cosine), irradiance)
@@ -107,31 +94,25 @@ def shadow_ray(
     It starts off the surface, on the side of the light. Hits nearer than the offset do not count, since rounding may
     put a hit in the crease of two faces behind the other one.
     """
-    lean = dot(n, incident_irradiance(light, p)[0])
+    lean = dot(n, light_at(light, p)[2])
     side = 1.0 if lean > 0.0 else (-1.0 if lean < 0.0 else 0.0)
     offset = SHADOW_OFFSET * max(max_norm(o) + t * math.sqrt(dot(d, d)) + max_norm(p), extent)
     start = point_at(p, side * offset, n)
-    way, reach = light_direction(light, start)
+    way, reach, _, _ = light_at(light, start)
     away = math.sqrt(dot(way, way))
     return start, way, offset / away if away > 0.0 else 0.0, reach
 
 
 @jit
-def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
-    """Write ALBEDO and SIDES of the hits from tables by material, and RADIANCE 0; materials[prim]: a primitive's."""
+def materials_in_tile(tile: Any, box: Box, shapes: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
+    """Write ALBEDO and SIDES of the hits from tables by shape, and RADIANCE 0; shapes[prim]: that of a primitive."""
     for y in range(box[3] - box[1]):
-        if len(two_sided) == 1:  # without table look-ups several pixels are filled at once
-            for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-                put(buffer, ALBEDO + i, row(reflectance, 0))
-                buffer[SIDES + i] = 1.0 if two_sided[0] else 0.0
-        else:
-            for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-                prim = tile[PRIM + i]
-                number = lane(materials[lane(prim if prim >= 0.0 else 0.0)])
-                put(buffer, ALBEDO + i, row(reflectance, number))
-                buffer[SIDES + i] = 1.0 if two_sided[number] else 0.0
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
+            prim = tile[PRIM + i]
+            number = lane(shapes[lane(prim if prim >= 0.0 else 0.0)])
+            put(buffer, ALBEDO + i, row(reflectance, number))
+            buffer[SIDES + i] = 1.0 if two_sided[number] else 0.0
+            put(buffer, RADIANCE + i, NOWHERE)
 
 
 @jit

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import ALL_LANES, LANES
+from caster.jit.simd import LANES
 from caster.kernels.math.lanes import lanes_in_range, numbers_in_range
 from caster.kernels.math.vec import dot, scaled
 from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, surface, surface_setup
@@ -82,10 +82,6 @@ NO_IDS = PrimitiveIds(np.empty(0, np.int32), np.empty(0, np.int32))
 SURFACE_SIZE = SURFACE_FIELDS * STRIDE + CACHE_LINE // 8  # numbers of a surface buffer
 
 
-def new_surface_buffer() -> np.ndarray:
-    return np.zeros(SURFACE_SIZE)
-
-
 @inlined
 def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
     """(o, d) of a pixel."""
@@ -135,20 +131,14 @@ ALL_SHOWN = (1 << SURFACE_LANES) - 1
 @inlined
 def gather_primitives(prims: Any, span: Any, tile: Any, first: Any, scratch: Any, wants: int) -> int:
     """Write the numbers that `fast_surface` reads to the lanes that show the kind; returns a bit for each of these."""
-    least, end, one = span[0], span[1], tile[PRIM + first]
-    shown, alike = 0, ALL_SHOWN
+    least, end = span
+    shown = 0
     for group in range(SURFACE_LANES // LANES):
-        at = PRIM + first + lane(group * LANES)
-        shown |= lanes_in_range(tile, at, least, end) << (group * LANES)
-        alike &= lanes_in_range(tile, at, one, one + 1.0) << (group * LANES) | ~(ALL_LANES << (group * LANES))
-    if shown == 0:
-        return 0
-    if alike == ALL_SHOWN:
-        surface_setup(prims, int(one - least), lane(0), lane_count(scratch), scratch, wants)
-        return shown
-    for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get the first primitive
-        numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
-    setup_lanes(prims, scratch, wants)
+        shown |= lanes_in_range(tile, PRIM + first + lane(group * LANES), least, end) << (group * LANES)
+    if shown != 0:
+        for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get the first primitive
+            numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
+        setup_lanes(prims, scratch, wants)
     return shown
 
 
@@ -255,15 +245,10 @@ def per_hit(aov: Any, hit: Any) -> Any:
 
 
 @inlined
-def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
-    if image.ndim == 2:
-        image[y, x] = value
-        return
+def store_channels(image: Any, y: Any, x: Any, value: Any) -> None:
     numbers, n = image.flat, (lane(y) * lane(image.shape[1]) + lane(x)) * lane(len(value))
     if len(value) == 3:  # unrolled, so that LLVM writes several pixels at once
         numbers[n], numbers[n + lane(1)], numbers[n + lane(2)] = value[0], value[1], value[2]
-    elif len(value) == 2:
-        numbers[n], numbers[n + lane(1)] = value[0], value[1]
     else:
         for c in range(len(value)):
             numbers[n + lane(c)] = value[c]
@@ -277,7 +262,7 @@ def store_pixel(aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any
     if image.ndim == 2:
         image[y, x] = per_hit(aov, hit) if inside else aov.miss
     else:
-        store_value(image, y, x, per_hit(aov, hit) if inside else aov.misses)
+        store_channels(image, y, x, per_hit(aov, hit) if inside else aov.misses)
 
 
 @jit
