@@ -61,11 +61,11 @@ SURFACE_PARTS = {
 
 def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
     """The work done, for `caster render --json`."""
-    plan, scene, kinds, on_film = rendered.plan, rendered.scene, rendered.packed.kinds, rendered.on_film
+    scene, kinds, on_film = rendered.scene, rendered.packed.kinds, rendered.on_film
     x0, y0, x1, y1 = scene.film.window
     return {
         "camera_rays": {"cast": (x1 - x0) * (y1 - y0), "camera": scene.camera.type},
-        "culling": plan.culling,
+        "culling": rendered.culling,
         "primitives": [
             {
                 "kind": type(kind.prims).__name__.lower(),
@@ -78,8 +78,8 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "never_hit": rejected_faces(scene),
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {
-            "hits": rendered.hits if plan.surfaces is not None else 0,
-            "worked_out": SURFACE_PARTS[plan.surfaces],
+            "hits": rendered.hits if rendered.surfaces is not None else 0,
+            "worked_out": SURFACE_PARTS[rendered.surfaces],
         },
         "shadow_rays": rendered.shadow_rays,
         "aovs": list(aovs),

@@ -15,7 +15,6 @@ from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
 from caster.rendering.casting import Culling, find_any, find_nearest
-from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace
 from caster.rendering.shading import TileShader, new_image
@@ -86,11 +85,11 @@ class RayHits:
         count = len(self.rays.t_min)
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
-        planned, prim = plan(self.scene, aovs, "bvh"), self.nearest.prim
+        prim = self.nearest.prim
         if len(self.packed.kinds) > 1:
             prim = np.where(self.hit, self.packed.places[prim], -1)  # tiles count primitives kind by kind
         start = np.append(self.start, np.zeros(-count % WIDTH)).reshape(window.height, window.width)
-        shader = TileShader(self.scene, self.packed, planned, images, start=start, exact_shadows=True)
+        shader = TileShader(self.scene, self.packed, images, start=start, exact_shadows=True)
 
         def begin() -> list[Command]:
             workspace = TileWorkspace()
@@ -204,8 +203,7 @@ def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_ma
     if not np.all(start >= 0.0) or np.isnan(end).any():
         i = int(np.argmin((start >= 0.0) & ~np.isnan(end)))
         which = "rays" if start.strides == end.strides == (0,) else f"rays[{i}]"
-        first, last = (float(limits[i]) if len(limits) else limits for limits in (start, end))
-        raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {first} and t_max {last}")
+        raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {start[i]} and t_max {end[i]}")
     found: list[int] = []
     parallel_for(
         lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)),

@@ -10,7 +10,7 @@ import numpy as np
 from caster.geometry.packing import Kind, Packed
 from caster.jit.command_list import Command, CommandList
 from caster.jit.decorators import implements
-from caster.kernels.bvh.build import BOX_PADDING, Hulls, hulls_of
+from caster.kernels.bvh.build import BOX_PADDING, hulls_of
 from caster.kernels.protocol import distortion_bound, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
@@ -86,7 +86,7 @@ def bin_kinds(
         slack = BOX_PADDING * (origin + kind.extent) if kind.bounded else 0.0
         reach, number, triangles = (slack, PROJECTION_MARGIN), len(kind.ids), isinstance(kind.prims, Triangles)
         spheres = implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera))
-        points, corners = NO_HULLS if spheres else hulls_of(kind.prims, number)
+        points, corners = (np.empty((0, 3)), NO_FACES) if spheres else hulls_of(kind.prims, number)
         pixels, near = unwritten_array((number, 4), np.int32), unwritten_array((number,), np.float64)
         projected = unwritten_array((len(points), 4), np.float64)
         # a rectilinear camera keeps edges straight
@@ -107,7 +107,6 @@ def bin_kinds(
 
 
 NO_FACES = np.empty((0, 3), np.int32)
-NO_HULLS = Hulls(np.empty((0, 3)), NO_FACES)
 
 
 def _bin_into_tiles(

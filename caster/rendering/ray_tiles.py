@@ -98,9 +98,8 @@ class TileCaster:
         depth = np.where(ahead, depth, 1.0)
         x, y, inside = x / depth, y / depth, np.zeros((len(d), CHILDREN), bool)
         for n in range(len(self._kinds)):
-            left, right, low, high = (
-                self._bounds[0, n].nodes[: 4 * CHILDREN].reshape(4, CHILDREN)
-            )  # the largest negated
+            # the largest x and y are negated
+            left, right, low, high = self._bounds[0, n].nodes[: 4 * CHILDREN].reshape(4, CHILDREN)
             inside |= (x >= left) & (x <= -right) & (y >= low) & (y <= -high)
         return float((inside & ahead).any(axis=1).mean())
 

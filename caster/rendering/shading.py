@@ -10,17 +10,34 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME, kernel_of
+from caster.aovs import BY_NAME, kernel_of, needs_of
 from caster.geometry.packing import Packed
 from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, COUNT, DX, DY, DZ, OX, OY, OZ, T_MAX, T_MIN, UNCERTAIN, Box, T, kind_numbers
+from caster.kernels.raster.tile import (
+    BOX,
+    COUNT,
+    DX,
+    DY,
+    DZ,
+    NORMALS,
+    OX,
+    OY,
+    OZ,
+    SURFACES,
+    SURFACES_WITH_UV,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    Box,
+    T,
+    kind_numbers,
+)
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, flip_normals_in_tile, surfaces_in_tile, write_aov
 from caster.kernels.surface.texturing import textures_in_tile
 from caster.rendering.casting import exact_nearest
-from caster.rendering.plan import Plan
 from caster.rendering.ray_tiles import TileCaster, TileWorkspace, placed_kinds
 from caster.rendering.threads import unwritten_array
 from caster.scene.model import Scene
@@ -48,18 +65,18 @@ class TileShader:
         self,
         scene: Scene,
         packed: Packed,
-        plan: Plan,
         images: Mapping[str, np.ndarray],
         *,
         start: np.ndarray = NO_START,
         exact_shadows: bool = False,
     ) -> None:
         self.images, self.start = images, start
-        self._packed, self._plan, self._exact = packed, plan, exact_shadows
+        self._packed, self._exact = packed, exact_shadows
+        needs = needs_of(images)
         self._ids = NO_IDS
-        if packed.kinds and plan.needs & {"shape_id", "prim_id"}:
+        if packed.kinds and needs & {"shape_id", "prim_id"}:
             self._ids = PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
-        shaded = packed.kinds and plan.needs & {"albedo", "radiance"}
+        shaded = packed.kinds and needs & {"albedo", "radiance"}
         self._materials = material_tables(scene) if shaded else None
         self._textures = None
         if shaded and any(scene.textures):
@@ -68,13 +85,21 @@ class TileShader:
                 derived["textures"] = texture_arrays(scene.textures, packed)
             self._textures = derived["textures"]
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
-        lights = scene.lights if "radiance" in plan.needs and packed.kinds else ()
+        lights = scene.lights if "radiance" in needs and packed.kinds else ()
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
         self._lights: list[tuple[Any, TileCaster | None]] = []  # and the casters of their shadow rays
         for light in (each.pack() for each in lights if each.type != "ambient"):
-            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if plan.shadows else None
+            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if scene.shading.shadows else None
             self._lights.append((light, caster))
         self._ambient = np.array([light.radiance for light in lights if light.type == "ambient"]).reshape(-1, 3)
+        # what is computed of each hit's surface: NORMALS, SURFACES or SURFACES_WITH_UV; None: nothing
+        self.surfaces: int | None = None
+        if self._textures is not None or "uv" in needs:
+            self.surfaces = SURFACES_WITH_UV
+        elif self._lights or needs & {"position", "shading_normal"}:
+            self.surfaces = SURFACES
+        elif "normal" in needs:
+            self.surfaces = NORMALS
 
     @property
     def shadow_rays(self) -> int:
@@ -89,14 +114,14 @@ class TileShader:
 
     def commands(self, ws: TileWorkspace) -> Iterator[Command]:
         """Commands that write the AOVs of tiles in a workspace."""
-        packed, plan = self._packed, self._plan
+        packed = self._packed
         if not packed.kinds:
             yield from self.miss_commands()
             return
-        if plan.surfaces is not None:
+        if self.surfaces is not None:
             for k, (kind, first) in enumerate(placed_kinds(packed)):
                 about = kind.prims, (first, first + len(kind.ids)), ws.tile, BOX, ws.surface, ws.lanes
-                yield command(surfaces_in_tile, *about, plan.surfaces, when=kind_numbers(k).present)
+                yield command(surfaces_in_tile, *about, self.surfaces, when=kind_numbers(k).present)
             if packed.flipped is not None:
                 yield command(flip_normals_in_tile, ws.tile, BOX, packed.flipped[packed.prim_shapes], ws.surface)
         if self._materials is not None:

@@ -18,8 +18,7 @@ from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
 from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_any
 from caster.rendering.hits import validated_rays
-from caster.rendering.images import DEFAULT_AOVS, render_film
-from caster.rendering.plan import culling_for
+from caster.rendering.images import DEFAULT_AOVS, culling_for, render_film
 from caster.rendering.ray_tiles import TileCaster, TileWorkspace
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Diffuse, Directional, Point, Scene

@@ -125,8 +125,8 @@ def test_rows_of_tiles_have_their_boxes_and_what_there_is_of_each_kind(width, he
             assert (tuple(row[BOX]), row[LINES], row[COUNT]) == (box, lines, lines * WIDTH)
             present = [True] * 3 if given is None else [bool(run[n] < run[n + 1]) for run in runs]
             for k, at in enumerate(map(kind_numbers, range(3))):
-                assert row[at.present] == present[k]
-                assert row[at.run] == ([0, 0] if given is None else [runs[k][n], runs[k][n + 1]])
+                assert bool(row[at.present]) == present[k]
+                assert row[at.run] == ([0, 1] if given is None else [runs[k][n], runs[k][n + 1] - runs[k][n]])
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

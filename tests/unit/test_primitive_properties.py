@@ -11,7 +11,7 @@ from caster.description.fields import Shape
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
-from caster.kernels.raster.screen_bounds import beyond_edge
+from caster.kernels.raster.screen_bounds import edge_line, is_beyond
 from caster.kernels.triangles import Triangles
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Sphere, Triangle
@@ -106,8 +106,8 @@ def test_a_point_beyond_an_edge_is_in_no_triangle_with_corners_within_the_bound(
         wide = 10.0 ** rng.uniform(-3.0, 0.5)
         corners, point = rng.uniform(-10.0, 10.0, (3, 2)), rng.uniform(-11.0, 11.0, 2)
         a, b, c = ((*corner, wide, 1.0) for corner in corners)
-        assert not beyond_edge(a, b, c, math.inf, *point)
-        if beyond_edge(a, b, c, wide, *point):
+        assert not is_beyond(edge_line(a, b, c, math.inf), *point)
+        if is_beyond(edge_line(a, b, c, wide), *point):
             found += 1
             for _ in range(8):
                 moved = corners + wide * rng.choice([-1.0, 1.0], (3, 2)) - point

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from caster import Film, Ray, Scene, SceneError, Sphere, cast, render
-from caster.rendering.images import camera_rays
-from caster.rendering.plan import culling_for
+from caster.rendering.images import camera_rays, culling_for
 from caster.scene.files import scene_from_text
 
 LINE = '[camera]\ntype = "ray"\norigin = {o}\ndirection = {d}\n'

@@ -246,7 +246,7 @@ def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
         at_wall = slice(int(T), int(T) + TILE_WIDTH * TILE_HEIGHT)
         tile[at_wall] = 1.0 / tile[int(DZ) : int(DZ) + TILE_WIDTH * TILE_HEIGHT]
         order = np.arange(count, dtype=np.int32)
-        cast_in_bounds(prims, order, (first, count), bounds, 10, box, tile, True)
+        cast_in_bounds(prims, order, (first, count - first), bounds, 10, box, tile, True)
         found.append([fields(tile, box, field) for field in (T, T_ERROR, PRIM, UNCERTAIN)])
     assert np.array_equal(*found)
     assert np.unique(found[0][2]).tolist() == [-1.0, 11.0, 13.0]  # nothing but the wall, and what is before it

@@ -25,6 +25,7 @@ from caster.kernels.math.lanes import (
 )
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, row, scaled, sub
 from caster.kernels.protocol import Vec3, intersect, load, prepare
+from caster.kernels.raster.screen_bounds import edge_line
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
@@ -350,17 +351,6 @@ def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
     if wide < math.inf:
         return edge_line(p, q, r, wide), edge_line(q, r, p, wide), edge_line(r, p, q, wide)
     return NO_OUTLINE
-
-
-@inlined
-def edge_line(p: Vec3, q: Vec3, r: Vec3, wide: float) -> Vec3:
-    """The line (a, b, c) through the projections of p and q, moved away from r by `wide` along each axis.
-
-    Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
-    """
-    x, y = q[0] - p[0], q[1] - p[1]
-    side = 1.0 if x * (r[1] - p[1]) - y * (r[0] - p[0]) >= 0.0 else -1.0
-    return -side * y, side * x, side * (y * p[0] - x * p[1]) + ((abs(x) + abs(y)) * wide + TINY)
 
 
 @implement(separating_plane, Triangles)

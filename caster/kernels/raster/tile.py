@@ -60,27 +60,23 @@ TILE_NUMBERS = 6
 class KindNumbers(NamedTuple):
     """Places in a row for one kind of primitive."""
 
-    run: slice  # of BinnedKind.order: its primitives
-    present: int  # 1 where it has any
+    run: slice  # of BinnedKind.order: where its primitives begin, and how many there are
+    present: int  # the second of these
 
 
 def kind_numbers(k: int) -> KindNumbers:
-    at = TILE_NUMBERS + 3 * k
-    return KindNumbers(slice(at, at + 2), at + 2)
+    at = TILE_NUMBERS + 2 * k
+    return KindNumbers(slice(at, at + 2), at + 1)
 
 
 def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """Arguments of commands (tiles, numbers) int64. runs: (tiles + 1,) of each kind; None: all kinds in all tiles."""
     boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
-    rows = np.zeros((len(boxes), TILE_NUMBERS + 3 * kinds), np.int64)
+    rows = np.zeros((len(boxes), TILE_NUMBERS + 2 * kinds), np.int64)
     rows[:, BOX], rows[:, LINES] = boxes, boxes[:, 3] - boxes[:, 1]
     rows[:, COUNT] = rows[:, LINES] * WIDTH
     for k in range(kinds):
-        at = kind_numbers(k)
-        rows[:, at.present] = 1
-        if runs is not None:
-            rows[:, at.run.start], rows[:, at.run.start + 1] = runs[k][:-1], runs[k][1:]
-            rows[:, at.present] = runs[k][:-1] < runs[k][1:]
+        rows[:, kind_numbers(k).run] = (0, 1) if runs is None else np.column_stack([runs[k][:-1], np.diff(runs[k])])
     return rows
 
 

@@ -285,20 +285,13 @@ def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, 
 
 @jit
 def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
-    """Write whether each pixel of a box hits anything, and whether it has to be decided exactly.
-
-    uncertain: False everywhere before.
-    """
+    """Write whether each pixel of a box hits anything, and whether it has to be decided exactly."""
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
-        any_uncertain = 0  # an integer: a sum of floats keeps LLVM from using vectors
         for x in range(count):
             hit[y, lane(x0) + x] = tile[PRIM + first + x] >= 0.0
-            any_uncertain += 1 if tile[UNCERTAIN + first + x] != 0.0 else 0
-        if any_uncertain > 0:
-            for x in range(count):
-                uncertain[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
+            uncertain[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
 
 
 @inlined
