@@ -209,19 +209,6 @@ def precedes(x: Any, k: int, y: Any, j: int) -> bool:
     return first < 0 or (first == 0 and k < j)
 
 
-@jit
-def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: int) -> None:
-    """Merge the hits of one kind into those of all kinds where float64 can decide; ids[k]: the number in the scene."""
-    for i in range(start, stop):
-        if found.prim[i] < 0:
-            continue
-        t, error = found.t[i], found.error[i]
-        if t + error < nearest.t[i] - nearest.error[i]:
-            nearest.t[i], nearest.prim[i], nearest.error[i] = t, ids[found.prim[i]], error
-        elif t - error <= nearest.t[i] + nearest.error[i]:
-            contested[i] = True
-
-
 # One ray against single primitives, without culling.
 
 

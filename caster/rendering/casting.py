@@ -7,7 +7,7 @@ import numpy as np
 
 from caster.geometry.packing import Kind, Packed
 from caster.kernels.bvh.traversal import find_first_in_tree
-from caster.kernels.nearest import Nearest, Rays, find_first, hit_precedes, merge, no_hits
+from caster.kernels.nearest import Nearest, Rays, find_first, hit_precedes, no_hits
 from caster.kernels.raster.tile import load_rays, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import fan_tiles
@@ -40,29 +40,28 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     return nearest
 
 
-def _cast(packed: Packed, rays: Rays, tiles: list[RayTiles], threads: int | None) -> tuple[Nearest, np.ndarray]:
+def _cast(packed: Packed, rays: Rays, tiles: RayTiles, threads: int | None) -> tuple[Nearest, np.ndarray]:
     """(hits by float64, whether others may be nearer (n,) bool)."""
     count, ids = len(rays.t_min), packed.prim_ids
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
     uncertain = unwritten_array((count,), bool)
-    for each in tiles:
-        each.caster.prepare(threads)
+    tiles.caster.prepare(threads)
 
-        def begin(of: RayTiles = each) -> Callable[[Piece], None]:
-            workspace = TileWorkspace()
-            tile = workspace.tile
-            cast = of.caster.begin(tile, workspace.ray_groups)
+    def begin() -> Callable[[Piece], None]:
+        workspace = TileWorkspace()
+        tile = workspace.tile
+        cast = tiles.caster.begin(tile, workspace.ray_groups)
 
-            def work(piece: Piece) -> None:
-                numbers = of.numbers(piece)
-                load_rays(rays, numbers, tile)
-                cast(len(numbers))
-                store_nearest(tile, numbers, ids, nearest, uncertain)
+        def work(piece: Piece) -> None:
+            numbers = tiles.numbers(piece)
+            load_rays(rays, numbers, tile)
+            cast(len(numbers))
+            store_nearest(tile, numbers, ids, nearest, uncertain)
 
-            return work
+        return work
 
-        parallel_for_pieces(begin, each.pieces, min(thread_count(threads), len(each.pieces)))
+    parallel_for_pieces(begin, tiles.pieces, min(thread_count(threads), len(tiles.pieces)))
     return nearest, uncertain
 
 
@@ -96,7 +95,7 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
     caster = TileCaster(packed, any_hit=False, uses_tree=through_tree)
     sketch = _cast(packed, rays, tiles_in_order(caster, rays, threads), threads)[0]
     for kind in packed.kinds:
-        found, contested = no_hits(count), np.zeros(count, bool)
+        found = no_hits(count)
 
         def work(start: int, stop: int, kind: Kind = kind, found: Nearest = found) -> None:
             if through_tree(kind):
@@ -105,13 +104,15 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
                 find_first(kind.prims, len(kind.ids), rays, sketch, found, start, stop)
 
         parallel_for(work, count, threads, least=MIN_EXACT_PER_THREAD)
-        merge(nearest, found, kind.ids, contested, 0, count)
-        for i in np.flatnonzero(contested).tolist():  # float64 cannot decide which kind comes first
+        with np.errstate(over="ignore"):
+            nearer = found.t + found.error < nearest.t - nearest.error
+            uncertain = ~nearer & (found.t - found.error <= nearest.t + nearest.error)
+        for i in np.flatnonzero(uncertain & (found.prim >= 0)).tolist():  # which kind comes first?
             k, held = int(found.prim[i]), int(nearest.prim[i])
-            number = int(kind.ids[k])
             other, j = packed.place_of(held) if held >= 0 else (kind, k)
-            if held < 0 or hit_precedes(kind.prims, k, number, other.prims, j, held, rays, i):
-                nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], number, found.error[i]
+            nearer[i] = held < 0 or hit_precedes(kind.prims, k, int(kind.ids[k]), other.prims, j, held, rays, i)
+        nearest.t[nearer], nearest.error[nearer] = found.t[nearer], found.error[nearer]
+        nearest.prim[nearer] = kind.ids[found.prim[nearer]]
     hit = nearest.prim >= 0  # the exact t is in (t_min, t_max]; rounded to float64 it may lie outside
     nearest.t[hit] = np.clip(nearest.t[hit], np.nextafter(rays.t_min[hit], np.inf), rays.t_max[hit])
     return nearest

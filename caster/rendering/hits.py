@@ -13,7 +13,7 @@ from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
+from caster.kernels.raster.tile import BOX, PRIM, T_MIN, WIDTH, Box, T, load_rays, tile_rows
 from caster.rendering.casting import Culling, find_any, find_nearest
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace
@@ -88,8 +88,7 @@ class RayHits:
         prim = self.nearest.prim
         if len(self.packed.kinds) > 1:
             prim = np.where(self.hit, self.packed.places[prim], -1)  # tiles count primitives kind by kind
-        start = np.append(self.start, np.zeros(-count % WIDTH)).reshape(window.height, window.width)
-        shader = TileShader(self.scene, self.packed, images, start=start, exact_shadows=True)
+        shader = TileShader(self.scene, self.packed, images, of_rays=True)
 
         def begin() -> list[Command]:
             workspace = TileWorkspace()
@@ -100,7 +99,7 @@ class RayHits:
                 numbers = np.arange(first, first + size, dtype=np.int32)
                 numbers[count - first :] = -1
                 load_rays(self.rays, numbers, tile)
-                for place, values in ((T, self.nearest.t), (PRIM, prim)):
+                for place, values in ((T, self.nearest.t), (PRIM, prim), (T_MIN, self.start)):
                     here = values[first : first + size]
                     tile[int(place) : int(place) + len(here)] = here
 

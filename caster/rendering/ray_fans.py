@@ -3,7 +3,6 @@
 Whether that is faster is estimated from a sample of the rays. The hits have the same bits as those of single rays.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +72,7 @@ SAMPLED_DIRECTIONS = 1024  # by which it is estimated how many rays lead to some
 MIN_SHARE_IN_VIEW = 0.15
 
 
-def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> list[RayTiles] | None:
+def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> RayTiles | None:
     """The tiles of rays that start at one point and sweep row by row, if fans are faster for them; else None.
 
     Enough rays have to lead to primitives with a BVH.
@@ -94,12 +93,14 @@ def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> list[RayTiles]
     return _tiles_in_rows(caster, count, rows)
 
 
-def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> list[RayTiles]:
+def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> RayTiles:
     """Tiles of rays that lie beside and below each other, and those of the rays before and behind the whole rows."""
     first, width, height = rows
     grid = np.arange(HEIGHT, dtype=np.int32)[:, None] * np.int32(width) + np.arange(WIDTH, dtype=np.int32)
 
-    def numbers_in_box(piece: Piece) -> np.ndarray:
+    def numbers_of(piece: Piece) -> np.ndarray:
+        if len(piece) == 2:
+            return numbers_between(WIDTH, piece)
         x0, y0, x1, y1 = piece
         numbers = grid[: y1 - y0] + np.int32(first + y0 * width + x0)
         numbers[:, x1 - x0 :] = -1
@@ -107,7 +108,4 @@ def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> list[RayTil
 
     ends = [(0, first), (first + width * height, count)]
     rest = [(i, min(i + PIXELS, stop)) for start, stop in ends for i in range(start, stop, PIXELS)]
-    return [
-        RayTiles(caster, list(tile_boxes(width, height)), numbers_in_box),
-        RayTiles(caster, rest, partial(numbers_between, WIDTH)),
-    ]
+    return RayTiles(caster, [*tile_boxes(width, height), *rest], numbers_of)

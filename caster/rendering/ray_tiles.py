@@ -38,15 +38,12 @@ from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, thread_coun
 # To wake a second thread takes as long as so many rays, about.
 MIN_RAYS_PER_THREAD = 256
 
-UsesTree = Callable[[Kind], bool]
 Place = tuple[Kind, int]  # a kind, and the place of its first primitive
 
 ALL_PACKETS = np.empty(0, np.int64)  # none is left out; of the type of RayGroups.taken
 
-Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-
-def new_workspace() -> Workspace:
+def new_workspace() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The stack of a traversal, where its boxes are entered, and where the boxes of a node are."""
     return np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN)
 
@@ -68,7 +65,7 @@ class TileCaster:
         packed: Packed,
         *,
         any_hit: bool,
-        uses_tree: UsesTree = uses_bvh,
+        uses_tree: Callable[[Kind], bool] = uses_bvh,
         light: PointLight | DirectionalLight | None = None,
         rays: int = 0,
     ) -> None:
@@ -181,12 +178,12 @@ class RayTiles(NamedTuple):
     numbers: Callable[[Piece], np.ndarray]
 
 
-def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> list[RayTiles]:
+def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> RayTiles:
     """Rays of an array in their order."""
     count = len(rays.t_min)
     workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
     tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
-    return [RayTiles(caster, even_pieces(0, count, tiles), partial(numbers_between, LANES))]
+    return RayTiles(caster, even_pieces(0, count, tiles), partial(numbers_between, LANES))
 
 
 def numbers_between(multiple: int, ends: Piece) -> np.ndarray:

@@ -43,8 +43,6 @@ from caster.rendering.threads import unwritten_array
 from caster.scene.model import Scene
 from caster.scene.textures import texture_arrays
 
-NO_START = np.empty((0, 0))
-
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
     """The image of an AOV, (h, w), or (h, w, c) for several channels; a TileShader writes all of its pixels."""
@@ -57,21 +55,14 @@ def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray
 class TileShader:
     """Writes the AOVs of tiles whose rays and nearest hits are known.
 
-    images: by AOV, uninitialised. start: (h, w) the t from which depth counts. exact_shadows: whether uncertain shadows
-    are decided at once; otherwise their pixels become UNCERTAIN.
+    images: by AOV, uninitialised. of_rays: the tiles are those of an array of rays, whose depth counts from T_MIN, and
+    uncertain shadows are decided at once; otherwise depth counts from 0, and their pixels become UNCERTAIN.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        packed: Packed,
-        images: Mapping[str, np.ndarray],
-        *,
-        start: np.ndarray = NO_START,
-        exact_shadows: bool = False,
+        self, scene: Scene, packed: Packed, images: Mapping[str, np.ndarray], *, of_rays: bool = False
     ) -> None:
-        self.images, self.start = images, start
-        self._packed, self._exact = packed, exact_shadows
+        self.images, self._packed, self._of_rays = images, packed, of_rays
         needs = needs_of(images)
         self._ids = NO_IDS
         if packed.kinds and needs & {"shape_id", "prim_id"}:
@@ -133,7 +124,7 @@ class TileShader:
         if len(self._ambient):
             yield command(add_ambient, ws.tile, BOX, ws.surface, self._ambient)
         for name, image in self.images.items():
-            yield command(write_aov, kernel_of(name), ws.tile, BOX, ws.surface, self._ids, self.start, image)
+            yield command(write_aov, kernel_of(name), ws.tile, BOX, ws.surface, self._ids, self._of_rays, image)
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""
@@ -155,7 +146,7 @@ class TileShader:
         if caster is not None:
             self._shadow_rays.append(total)
             yield from caster.commands(ws.shadow_tile, ws.ray_groups, any_ray)
-            if self._exact:
+            if self._of_rays:
                 yield Command(partial(decide_shadows, packed, ws.shadow_tile), (COUNT,), any_ray)
         yield command(add_light, ws.tile, BOX, ws.surface, ws.shadow_tile, when=any_ray)
 

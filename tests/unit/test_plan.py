@@ -105,8 +105,7 @@ def test_what_lies_behind_or_beside_is_not_looked_for(camera):
 
 def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    text = '[film]\nwidth = 8\nheight = 6\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
-    (tmp_path / "s.toml").write_text(text + '[[shape]]\ntype = "sphere"\n')
+    (tmp_path / "s.toml").write_text(LONELY)
     assert main(["render", "s.toml", "--aov", "depth,normal", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from triangle_soup import triangle_soup
 
 from caster import cast
 from caster.cameras import CAMERAS
@@ -12,7 +13,6 @@ from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
 from caster.kernels.raster.screen_bounds import edge_line, is_beyond
-from caster.kernels.triangles import Triangles
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Sphere, Triangle
 
@@ -83,9 +83,8 @@ def test_a_ray_projects_to_its_pixel_and_a_step_moves_it_no_further_than_stated(
 def test_the_lower_bound_of_a_packet_keeps_a_ray_at_an_edge():
     """A bundle of one ray, at an edge up to rounding: what `intersect` leaves open is not culled."""
     rng, undecided = np.random.default_rng(154), 0
-    none = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(1, bool), np.zeros(1, bool)
     for _ in range(200):
-        prims = Triangles(rng.normal(size=(3, 3)), np.array([[0, 1, 2]], np.int32), *none)
+        prims = triangle_soup(rng.normal(size=(3, 3)))
         o, share = rng.normal(size=3), rng.random()
         d = share * prims.vertices[0] + (1.0 - share) * prims.vertices[1] - o
         pre = prepare(prims, load(prims, 0), tuple(o))

@@ -152,14 +152,8 @@ def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) 
 def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
     """Boxes of the hulls order[start:stop] of projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
-        box = NOTHING
-        for j in range(corners.shape[1]):
-            box = with_point(box, row(projected, corners[order[at], j]))
-        if not store_prim(fan, prims, at, box):
-            box = NOTHING
-            for j in range(corners.shape[1]):
-                box = with_point(box, undivided(row(projected, corners[order[at], j])))
-            store_near_prim(fan, prims, at, box)
+        if not store_prim(fan, prims, at, hull_extent(corners, projected, order[at], True)):
+            store_near_prim(fan, prims, at, hull_extent(corners, projected, order[at], False))
 
 
 Extent = tuple[float, float, float, float, float, float]
@@ -170,16 +164,16 @@ NOTHING: Extent = math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
 
 
 @inlined
-def with_point(box: Extent, p: Vec3) -> Extent:
-    x, y, depth = p
-    return (min(box[0], x), min(box[1], -x), min(box[2], y), min(box[3], -y), min(box[4], depth), min(box[5], -depth))
-
-
-@inlined
-def undivided(p: Vec3) -> Vec3:
-    """A projected point before the division, within 2 u."""
-    over = p[2] if p[2] > 0.0 else 1.0
-    return p[0] * over, p[1] * over, p[2]
+def hull_extent(corners: Any, projected: Any, k: int, divided: bool) -> Extent:
+    """Bounds of the projected points of hull k, or of these before the division, within 2 u."""
+    left, right, low, high, near, far = NOTHING
+    for j in range(corners.shape[1]):
+        x, y, depth = row(projected, corners[k, j])
+        over = depth if (not divided) & (depth > 0.0) else 1.0
+        left, right = min(left, x * over), min(right, -(x * over))
+        low, high = min(low, y * over), min(high, -(y * over))
+        near, far = min(near, depth), min(far, -depth)
+    return left, right, low, high, near, far
 
 
 @inlined
@@ -327,10 +321,9 @@ def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
 # ---- primitives against rays ----
 
 Outline = tuple[Vec3, Vec3, Vec3]
-NO_LINE = 0.0, 0.0, 1.0
+NO_LINE, NO_POINT = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 NO_OUTLINE: Outline = NO_LINE, NO_LINE, NO_LINE
-NO_POINT = 0.0, 0.0, 0.0
-NO_PLANE = NO_POINT, NO_POINT, NO_POINT
+NO_PLANE: Outline = NO_POINT, NO_POINT, NO_POINT
 
 
 @optional(generic_inlined)

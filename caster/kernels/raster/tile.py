@@ -185,19 +185,13 @@ def store_nearest(tile: Any, numbers: Any, ids: Any, nearest: Any, uncertain: An
 DEPTH_BUCKETS, DEPTH_BUCKET_SHIFT = 128, 52 - 4
 
 
-@inlined
-def depth_bucket(bits: int, last: int) -> int:
-    """The depth bucket of a primitive. bits, last: the bits of its depth and of the largest depth, as int64."""
-    nearer = (last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)
-    return min(max(DEPTH_BUCKETS - 1 - nearer, 0), DEPTH_BUCKETS - 1)
-
-
 @jit
 def bin_into_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
     """Append primitives queue[start:stop] to the list of each tile that they overlap, by depth bucket.
 
+    bits, last: the bits, as int64, of the depth of each primitive, and of the largest depth.
     The list of tile n and a bucket ends at order[ends[n * DEPTH_BUCKETS + bucket]]. With an empty `order` primitives
     are only counted, in `ends`. Tiles are numbered row by row, `across` in a row. An empty queue stands for all
     primitives in their own order.
@@ -205,7 +199,8 @@ def bin_into_tiles(
     for prim_number in range(start, stop):
         k = queue[prim_number] if len(queue) > 0 else prim_number
         if (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3]):
-            into = depth_bucket(bits[k], last)
+            nearer = (last >> DEPTH_BUCKET_SHIFT) - (bits[k] >> DEPTH_BUCKET_SHIFT)
+            into = min(max(DEPTH_BUCKETS - 1 - nearer, 0), DEPTH_BUCKETS - 1)
             for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     n = (y * across + x) * DEPTH_BUCKETS + into

@@ -29,6 +29,7 @@ from caster.kernels.raster.tile import (
     SURFACE_LANES,
     SURFACES,
     SURFACES_WITH_UV,
+    T_MIN,
     UNCERTAIN,
     WIDTH,
     Box,
@@ -266,21 +267,17 @@ def store_pixel(aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any
 
 
 @jit
-def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, image: Any) -> None:
+def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, from_t_min: bool, image: Any) -> None:
     """Write an AOV to the pixels of a box: its per-hit kernel at hits, its miss value elsewhere.
 
-    image: (h, w) or (h, w, c) of the whole window. start: (h, w), or empty for 0 everywhere.
+    image: (h, w) or (h, w, c) of the whole window. from_t_min: whether depth counts from T_MIN; else from 0.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first = lane((y - y0) * WIDTH)
-        if start.size > 0:
-            for x in range(lane(x1 - x0)):
-                begin = start[y, lane(x0) + x]
-                store_pixel(aov, tile, buffer, ids, begin, first + x, image, y, lane(x0) + x)
-        else:
-            for x in range(lane(x1 - x0)):
-                store_pixel(aov, tile, buffer, ids, 0.0, first + x, image, y, lane(x0) + x)
+        for x in range(lane(x1 - x0)):
+            start = tile[T_MIN + first + x] if from_t_min else 0.0
+            store_pixel(aov, tile, buffer, ids, start, first + x, image, y, lane(x0) + x)
 
 
 @jit
