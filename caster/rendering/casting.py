@@ -31,7 +31,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     if tiles is None:
         caster = TileCaster(packed, any_hit=False, uses_tree=trees_of(culling))
         tiles = tiles_in_order(caster, rays, threads)
-    nearest, uncertain = _cast(packed, rays, tiles, threads)
+    nearest, uncertain = cast_tiles(packed, rays, tiles, threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
         exact = exact_nearest(packed, rays.take(rows), threads, trees=trees)
@@ -40,7 +40,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     return nearest
 
 
-def _cast(packed: Packed, rays: Rays, tiles: RayTiles, threads: int | None) -> tuple[Nearest, np.ndarray]:
+def cast_tiles(packed: Packed, rays: Rays, tiles: RayTiles, threads: int | None) -> tuple[Nearest, np.ndarray]:
     """(hits by float64, whether others may be nearer (n,) bool)."""
     count, ids = len(rays.t_min), packed.prim_ids
     # threads write all of it
@@ -67,7 +67,7 @@ def _cast(packed: Packed, rays: Rays, tiles: RayTiles, threads: int | None) -> t
 
 def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
-    hits, uncertain = _cast(packed, rays, tiles_in_order(TileCaster(packed, any_hit=True), rays, threads), threads)
+    hits, uncertain = cast_tiles(packed, rays, tiles_in_order(TileCaster(packed, any_hit=True), rays, threads), threads)
     blocked = hits.prim >= 0
     rows = np.flatnonzero(uncertain & ~blocked)
     if len(rows):
@@ -93,7 +93,7 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
         return trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
 
     caster = TileCaster(packed, any_hit=False, uses_tree=through_tree)
-    sketch = _cast(packed, rays, tiles_in_order(caster, rays, threads), threads)[0]
+    sketch = cast_tiles(packed, rays, tiles_in_order(caster, rays, threads), threads)[0]
     for kind in packed.kinds:
         found = no_hits(count)
 

@@ -107,7 +107,7 @@ def render_film(
     check_names(aovs)
     arrays, window = packed(scene), film_window(scene)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
-    hit, uncertain = np.zeros((2, window.height, window.width), bool)
+    hit, uncertain = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: new_image(name, window, dtype) for name in aovs}
     culling = culling or culling_for(camera)
     shader = TileShader(scene, arrays, images)

@@ -15,11 +15,11 @@ from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
-from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_any
+from caster.kernels.raster.tile import WIDTH, new_tile
+from caster.rendering.casting import BVH_MIN_RAYS, Culling, cast_tiles, exact_nearest, find_any
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, culling_for, render_film
-from caster.rendering.ray_tiles import TileCaster, TileWorkspace
+from caster.rendering.ray_tiles import TileCaster, tiles_in_order
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Diffuse, Directional, Point, Scene
 from caster.scene.textures import Checkerboard
@@ -117,13 +117,12 @@ def _warm_rays(packed: Packed) -> None:
     """
     o = np.zeros((WIDTH, 3))
     o[LANES:] = 2.0**100
-    rays, tile = validated_rays(o, np.ones((WIDTH, 3)), 0.0, 1.0), new_tile()
+    rays = validated_rays(o, np.ones((WIDTH, 3)), 0.0, 1.0)
     find_any(packed, rays, threads=1)
-    load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile)
     caster = TileCaster(packed, any_hit=True, light=LAMPS[0].pack(), rays=MAX_PRIMITIVES)
-    caster.begin(tile, TileWorkspace().ray_groups)(WIDTH)
+    cast_tiles(packed, rays, tiles_in_order(caster, rays, 1), 1)
     for kind in packed.kinds:
-        cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
+        cast_packets_brute_force(kind.prims, 1, 0, WIDTH, new_tile(), True)
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit, optional
-from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
-from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
+from caster.jit.simd import CHILDREN, LANES, lowest_bit
+from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import (
     FAN_FIELDS,
     LARGEST_T,
@@ -27,7 +27,6 @@ from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, ro
 from caster.kernels.protocol import Vec3, intersect, load, prepare
 from caster.kernels.raster.screen_bounds import edge_line
 from caster.kernels.raster.tile import (
-    CACHE_LINE,
     DX,
     FAN_X,
     FAN_Y,
@@ -361,19 +360,6 @@ def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
     return a, scaled(side, n), error
 
 
-@inlined
-def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
-    """Prefetch a node, or the primitives of a leaf."""
-    if inside >= 0:
-        prefetch(tree.links, inside)
-        for field in range(FAN_FIELDS):
-            prefetch(bounds.nodes, inside * BOX_SIZE + field * CHILDREN)
-    else:
-        first = ~inside // LEAF_SIZE_BASE * PRIM_FIELDS
-        for number in range(0, LEAF_SIZE * PRIM_FIELDS, CACHE_LINE // 8):
-            prefetch(bounds.prims, first + number)
-
-
 @jit
 def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool) -> None:
     """Cast the runs that the fan has taken at a kind.
@@ -405,7 +391,6 @@ def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any,
                         stack[at], depths[at] = stack[at - 1], depths[at - 1]
                         at -= 1
                     stack[at], depths[at] = tree.links[inside, j], depth
-                    prefetch_child(tree, bounds, stack[at])
                     top += 1
                 continue
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE

@@ -4,14 +4,11 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import LANES
-from caster.kernels.math.lanes import lanes_in_range
 from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, select, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
     ONE,
     PRIM,
-    SURFACE_LANES,
     T_MAX,
     T_MIN,
     UNCERTAIN,
@@ -126,59 +123,43 @@ def shadow_rays_in_tile(
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
-        for at in range(y * WIDTH, y * WIDTH + width, SURFACE_LANES):
-            stop = min(at + SURFACE_LANES, y * WIDTH + width)
-            if not shows_any(tile, lane(at)):
-                clear_rays(shadow_tile, at, stop)
-                continue
-            for i in range(lane(at), lane(stop)):
-                prim = tile[PRIM + i]
-                shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
-            # without a branch, so that several pixels are done at once; results of misses are not used
-            for i in range(lane(at), lane(stop)):
-                (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
-                p, n = select(hit, get(buffer, P + i), NOWHERE), select(hit, get(buffer, N + i), NOWHERE)
-                sh_n = select(hit, get(buffer, SH_N + i), NOWHERE)
-                t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
-                lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
-                put(buffer, FLUX + i, flux)
-                start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
-                there = lit & hit
-                aim = (
-                    select(there, start, NOWHERE),
-                    select(there, way, (0.0, 0.0, 1.0)),
-                    near if there else 0.0,
-                    reach if there else -1.0,
-                )
-                start_ray(shadow_tile, i, aim)
-                count += 1 if there else 0
+        first, stop = lane(y * WIDTH), lane(y * WIDTH + width)
+        for i in range(first, stop):
+            prim = tile[PRIM + i]
+            shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
+        # without a branch, so that several pixels are done at once; results of misses are not used
+        for i in range(first, stop):
+            (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
+            p, n = select(hit, get(buffer, P + i), NOWHERE), select(hit, get(buffer, N + i), NOWHERE)
+            sh_n = select(hit, get(buffer, SH_N + i), NOWHERE)
+            t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
+            lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
+            put(buffer, FLUX + i, flux)
+            start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
+            there = lit & hit
+            aim = (
+                select(there, start, NOWHERE),
+                select(there, way, (0.0, 0.0, 1.0)),
+                near if there else 0.0,
+                reach if there else -1.0,
+            )
+            start_ray(shadow_tile, i, aim)
+            count += 1 if there else 0
         clear_rays(shadow_tile, y * WIDTH + width, (y + 1) * WIDTH)
     total[0] += count
     return count
-
-
-@inlined
-def shows_any(tile: Any, first: Any) -> bool:
-    """Whether one of SURFACE_LANES pixels has a hit."""
-    found = 0
-    for at in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
-        found |= lanes_in_range(tile, PRIM + first + at, 0.0, math.inf)
-    return found != 0
 
 
 @jit
 def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
     """Add the light to RADIANCE after the shadow rays have been cast; UNCERTAIN where a shadow is uncertain."""
     for y in range(box[3] - box[1]):
-        for at in range(y * WIDTH, y * WIDTH + box[2] - box[0], SURFACE_LANES):
-            if not shows_any(tile, lane(at)):
-                continue
-            for i in range(lane(at), lane(min(at + SURFACE_LANES, y * WIDTH + box[2] - box[0]))):
-                lit = (shadow_tile[T_MAX + i] >= 0.0) & (shadow_tile[T + i] == math.inf)
-                reflected = reflected_radiance(get(buffer, ALBEDO + i), get(buffer, FLUX + i))
-                put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))
-                open_ = lit & (shadow_tile[UNCERTAIN + i] != 0.0)
-                tile[UNCERTAIN + i] = 1.0 if open_ else tile[UNCERTAIN + i]
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            lit = (shadow_tile[T_MAX + i] >= 0.0) & (shadow_tile[T + i] == math.inf)
+            reflected = reflected_radiance(get(buffer, ALBEDO + i), get(buffer, FLUX + i))
+            put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))
+            open_ = lit & (shadow_tile[UNCERTAIN + i] != 0.0)
+            tile[UNCERTAIN + i] = 1.0 if open_ else tile[UNCERTAIN + i]
 
 
 @inlined
