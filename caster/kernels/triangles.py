@@ -46,6 +46,7 @@ from caster.kernels.protocol import (
     setup_lanes,
     surely_misses,
     surface,
+    surface_setup,
     t_lower_bound,
 )
 from caster.kernels.raster.tile import (
@@ -321,6 +322,34 @@ LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH, LANE_US, LANE_VS
 )
 
 
+@implement(surface_setup, Triangles)
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    a, b, c = corners_of(prims.vertices, prims.faces, k)
+    smooth = prims.smooth[k]
+    for x in range(start, stop):
+        put_lane(scratch, LANE_A + x, a)
+        put_lane(scratch, LANE_B + x, b)
+        put_lane(scratch, LANE_C + x, c)
+        scratch[LANE_SMOOTH + x] = 1.0 if smooth else 0.0
+    if smooth and wants != NORMALS:
+        n0, n1, n2 = corners_of(prims.normals, prims.faces, k)
+        for x in range(start, stop):
+            put_lane(scratch, LANE_NA + x, n0)
+            put_lane(scratch, LANE_NB + x, n1)
+            put_lane(scratch, LANE_NC + x, n2)
+    if wants == SURFACES_WITH_UV:
+        _setup_uv(prims, k, start, stop, scratch)
+
+
+@inlined
+def _setup_uv(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
+    textured, (a, b, c) = prims.textured[k], uv_of(prims, k)
+    for x in range(start, stop):
+        put_lane(scratch, LANE_US + x, (a[0], b[0], c[0]))
+        put_lane(scratch, LANE_VS + x, (a[1], b[1], c[1]))
+        scratch[LANE_TEXTURED + x] = 1.0 if textured else 0.0
+
+
 @implement(setup_lanes, Triangles)
 def _setup_lanes(prims: Any, scratch: Any, wants: int) -> None:
     """Corners and vertex normals, whether these are used or not, several lanes at a time; uv one by one."""
@@ -334,10 +363,7 @@ def _setup_lanes(prims: Any, scratch: Any, wants: int) -> None:
     if wants == SURFACES_WITH_UV:
         for x in range(lane(SURFACE_LANES)):
             k = int(scratch[LANE_NUMBER + x])
-            textured, (a, b, c) = prims.textured[k], uv_of(prims, k)
-            put_lane(scratch, LANE_US + x, (a[0], b[0], c[0]))
-            put_lane(scratch, LANE_VS + x, (a[1], b[1], c[1]))
-            scratch[LANE_TEXTURED + x] = 1.0 if textured else 0.0
+            _setup_uv(prims, k, x, x + lane(1), scratch)
 
 
 @inlined

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import LANES
+from caster.jit.simd import ALL_LANES, LANES
 from caster.kernels.math.lanes import lanes_in_range, numbers_in_range
 from caster.kernels.math.vec import dot, scaled
 from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, surface, surface_setup
@@ -132,14 +132,20 @@ ALL_SHOWN = (1 << SURFACE_LANES) - 1
 @inlined
 def gather_primitives(prims: Any, span: Any, tile: Any, first: Any, scratch: Any, wants: int) -> int:
     """Write the numbers that `fast_surface` reads to the lanes that show the kind; returns a bit for each of these."""
-    least, end = span
-    shown = 0
+    least, end, one = span[0], span[1], tile[PRIM + first]
+    shown, alike = 0, ALL_SHOWN
     for group in range(SURFACE_LANES // LANES):
-        shown |= lanes_in_range(tile, PRIM + first + lane(group * LANES), least, end) << (group * LANES)
-    if shown != 0:
-        for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get the first primitive
-            numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
-        setup_lanes(prims, scratch, wants)
+        at = PRIM + first + lane(group * LANES)
+        shown |= lanes_in_range(tile, at, least, end) << (group * LANES)
+        alike &= lanes_in_range(tile, at, one, one + 1.0) << (group * LANES) | ~(ALL_LANES << (group * LANES))
+    if shown == 0:
+        return 0
+    if alike == ALL_SHOWN:
+        surface_setup(prims, int(one - least), lane(0), lane_count(scratch), scratch, wants)
+        return shown
+    for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get the first primitive
+        numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
+    setup_lanes(prims, scratch, wants)
     return shown
 
 
