@@ -173,7 +173,7 @@ def largest_coordinate(prims: Any) -> float:
         used[prims.faces] = True
         points = prims.vertices if used.all() else prims.vertices[used]
     else:
-        points = hulls_of(concatenate_parts([prims]), primitive_count(prims)).points
+        points, _ = hulls_of(concatenate_parts([prims]), primitive_count(prims))
     return float(max(points.max(initial=0.0), -points.min(initial=0.0)))
 
 

@@ -24,12 +24,10 @@ from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.kernels.math.quadric_roots import (
     closest_approach,
     fast_outward_normal,
-    fast_unit_normal,
     first_root,
     outward_normal,
     quadric_roots,
     quadric_setup,
-    unit_normal,
 )
 from caster.kernels.math.vec import (
     TO_OBJECT_SPACE_ERROR,
@@ -38,6 +36,7 @@ from caster.kernels.math.vec import (
     certain_in_range,
     cube_corner,
     fast_normalize,
+    fast_unit_direction,
     filter_result,
     l1_norm,
     mat_vec,
@@ -51,6 +50,7 @@ from caster.kernels.math.vec import (
     to_object_space,
     transposed_mat_vec,
     transposed_rows_times_vec,
+    unit_direction,
 )
 from caster.kernels.protocol import (
     exact_intersect,
@@ -251,7 +251,7 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center, r = load(prims, k)
-    n = outward_normal(sub(o, center), d, t, r)
+    n = outward_normal(sub(o, center), d, unit_direction(d), t, r)
     u, v = spherical_uv(mat_vec(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
     return point_at(center, r, n), n, n, u, v
 
@@ -273,7 +273,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
 @implement(fast_surface, Spheres)
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, r = get_lane(scratch, LANE_CENTER + x), scratch[LANE_RADIUS + x]
-    known, n = fast_outward_normal(sub(o, center), d, t, r)
+    known, n = fast_outward_normal(sub(o, center), d, fast_unit_direction(d), t, r)
     return known, known, point_at(center, r, n), n, n, n
 
 
@@ -335,7 +335,8 @@ def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_m
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
     f = mat_vec(prims.to_object, k, sub(o, center))
-    q = unit_normal(f, mat_vec(prims.to_object, k, d), t)
+    e = mat_vec(prims.to_object, k, d)
+    q = outward_normal(f, e, normalize(e), t, 1.0)
     n = normalize(transposed_mat_vec(prims.to_object, k, q))
     u, v = spherical_uv(q) if wants_uv else (0.0, 0.0)
     return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v
@@ -347,7 +348,8 @@ implement(surface_setup, Ellipsoids, OuterEllipsoids)(unwrap(put_affine_lanes))
 @implement(fast_surface, Ellipsoids, OuterEllipsoids)
 def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
-    known, q = fast_unit_normal(rows_times_vec(m, sub(o, center)), rows_times_vec(m, d), t)
+    e = rows_times_vec(m, d)
+    known, q = fast_outward_normal(rows_times_vec(m, sub(o, center)), e, fast_normalize(e), t, 1.0)
     long, n = fast_normalize(transposed_rows_times_vec(m, q))
     p = add(center, rows_times_vec(get_matrix(scratch, LANE_TO_WORLD + x), q))
     return known & long, known & long, p, n, n, q

@@ -221,7 +221,7 @@ def without_times(record):
 
 HEAD = '[film]\nwidth = 24\nheight = 16\n[camera]\ntype = "pinhole"\neye = [0, 1, 5]\nlook_at = [0, 0, 0]\n'
 SPHERE = '[[shape]]\ntype = "sphere"\n'
-COUNTS = ("camera_rays", "decided_exactly", "shadow_rays", "shading", "aovs")
+COUNTS = ("camera_rays", "decided_exactly", "shadow_rays", "aovs")
 
 
 def test_a_worker_with_another_scene_renders_and_judges_nothing(tmp_path):
