@@ -97,16 +97,21 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
     """The account in words, a line for each part, for `caster render --explain`."""
-    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
-
-
-def _words(part: Any) -> str:
-    if isinstance(part, dict):
-        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
-    if isinstance(part, list):
-        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
-    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
+    done = account(rendered, aovs)
+    surfaces, rays, kinds = done["surfaces"], done["camera_rays"], done["primitives"]
+    skipped = [part for part in SURFACE_PARTS[SURFACES_WITH_UV] if part not in surfaces["worked_out"]]
+    skipped += [] if done["shadow_rays"] else ["shadow rays"]
+    skipped += [f"BVH of {kind['kind']}" for kind in kinds if not kind["nodes"]]
+    parts = {
+        "camera rays": f"{rays['cast']}, camera {rays['camera']}",
+        "culling": done["culling"],
+        **{kind["kind"]: f"{kind['count']}, of which {kind['looked_for']} may be on the film" for kind in kinds},
+        **{f"BVH of {kind['kind']}": f"{kind['nodes']} nodes" for kind in kinds if kind["nodes"]},
+        "never hit": ", ".join(f"{count} {what}" for what, count in done["never_hit"].items()) or "none",
+        "decided exactly": f"{done['decided_exactly']} rays",
+        "surfaces": f"{' '.join(surfaces['worked_out']) or 'nothing'} of {surfaces['hits']} hits",
+        "shadow rays": done["shadow_rays"],
+        "AOVs": " ".join(aovs),
+        "skipped": ", ".join(skipped) or "nothing",
+    }
+    return "\n".join(f"{name:<20} {part}" for name, part in parts.items())

@@ -111,8 +111,8 @@ def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, cap
     assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48
     assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
     words = capsys.readouterr().out
-    assert f"culling          {data['culling']}\n" in words
-    assert f"surfaces         hits {data['surfaces']['hits']}, worked out normals\n" in words
+    assert f"\nculling              {data['culling']}\n" in words
+    assert f"\nsurfaces             normals of {data['surfaces']['hits']} hits\n" in words
 
 
 LONELY = """[film]
