@@ -17,26 +17,22 @@ from caster.rendering.threads import core_count
 from caster.system.atomic_files import ScratchFolder
 from caster.system.terminal import report_stage
 from mitsuba_ref.bench.casters import TimedCaster
-from mitsuba_ref.bench.drivers import AOVS, Work
+from mitsuba_ref.bench.drivers import AOVS, CannotRun, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import sampled_rows, score, write_scene
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.adjudication import ExactHits
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
+from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, run_module
 
 LAST_WORDS = 300  # characters kept of a dead caster's output
-WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
+WORKER = "mitsuba_ref.bench.worker"
 
 MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
 MAX_CAST_S = 0.2  # seconds of a slow caster's cast; its film is made smaller until it fits
 WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
 REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
-
-
-class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
-    """A caster's process has ended; str() is the reason, in one line."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +47,10 @@ def start_process(caster: TimedCaster, folder: str, scene: BenchScene) -> Reside
     folder: as `write_scene` writes it.
     """
     work = Work(folder, scene.workload, caster.driver, scene.aovs, caster.options)
-    environment = {**variants.environment_for(caster.variant), "PYTHONPATH": import_path()}
+    environment, text = variants.environment_for(caster.variant), json.dumps(asdict(work))
     with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
         fd = notices.fileno()
-        return ResidentProcess([*WORKER, json.dumps(asdict(work)), str(fd)], environment, pass_fds=(fd,))
+        return run_module(sys.executable, WORKER, text, str(fd), environment=environment, pass_fds=(fd,))
 
 
 @dataclass
@@ -73,11 +69,11 @@ class CasterRun:
             return
         try:
             step(self, *given)
-        except CasterEnded as end:
+        except CannotRun as end:
             self.row["why"] = str(end)
 
     def request(self, **request: Any) -> Mapping[str, Any]:
-        """The reply to {"do": ...}. Raises CasterEnded; the process is then gone, too."""
+        """The reply to {"do": ...}. Raises CannotRun; the process is then gone, too."""
         assert self.process is not None
         try:
             reply: dict[str, Any] = json.loads(self.process.ask(json.dumps(request).encode(), REQUEST_TIMEOUT_S))
@@ -85,10 +81,10 @@ class CasterRun:
             end = ended.end
             words = ["died", exit_name(end.code or 0), *end.output.splitlines()[-1:]]
             why = f"no answer within {REQUEST_TIMEOUT_S:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
-            raise CasterEnded(why) from None
+            raise CannotRun(why) from None
         if "why" in reply:
             self.process.close()
-            raise CasterEnded(reply["why"])
+            raise CannotRun(reply["why"])
         return reply
 
     def compile(self) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from caster.description.errors import SceneError
-from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT, run, user_import_path
+from mitsuba_ref.reference.subprocess_runner import import_path, run
 
 # The options --mitsuba, --variant and --as-in-file, as environment variables.
 PYTHON_VARIABLE, VARIANT_VARIABLE = "MITSUBA_REF_PYTHON", "MITSUBA_REF_VARIANT"
@@ -46,18 +46,6 @@ try:
 except Exception as problem:
     found["problem"] = str(problem).partition("\\n")[0]
 print("DESCRIPTION" + json.dumps(found))
-"""
-
-# Our packages come from their own folder, which may be the site-packages of another interpreter.
-RUN_CHILD = """
-import importlib.util, runpy, sys
-(root,) = sys.argv[1:]
-for name in ("caster", "mitsuba_ref"):
-    folder = root + "/" + name
-    spec = importlib.util.spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
-    sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[name])
-runpy.run_module("mitsuba_ref.reference.mitsuba_process", run_name="__main__")
 """
 
 
@@ -88,11 +76,6 @@ def chosen(python: str) -> Iterator[None]:
         del os.environ[PYTHON_VARIABLE]
         if before is not None:
             os.environ[PYTHON_VARIABLE] = before
-
-
-def child_command() -> list[str]:
-    """The command that runs mitsuba_process.py in that interpreter, without the current folder on its path."""
-    return [interpreter(), "-P", "-c", RUN_CHILD, str(PACKAGE_PARENT)]
 
 
 def installation() -> Installation:
@@ -127,7 +110,7 @@ def _description(python: str) -> dict[str, Any]:
         raise _unusable(python, f"is no program{hint}")
     with tempfile.TemporaryDirectory() as folder:
         try:
-            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": user_import_path()}, folder)
+            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": import_path()}, folder)
         except OSError as error:
             raise _unusable(python, f"cannot be started: {error.strerror}") from None
     _, mark, description = end.output.rpartition("DESCRIPTION")

@@ -21,7 +21,6 @@ from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject,
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 ZIP_MAGIC = b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
-HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of rows of hits
 STRIP_WIDTH = 256  # of the film on which rays are laid out, if the list names none
 
 
@@ -132,17 +131,6 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
 
 
 # ---- hits
-
-
-def hit_columns(rows: Array) -> dict[str, Array]:
-    """Hits by HIT_ARRAYS from rows of HIT_COLUMNS."""
-    found = {"t": rows[:, 0]}
-    if rows.shape[1] >= 4:
-        found["n"] = rows[:, 1:4]
-    if rows.shape[1] == 5:
-        whole = np.isfinite(rows[:, 4]) & (np.abs(rows[:, 4]) < 2.0**31)
-        found["prim_id"] = np.where(whole & (rows[:, 4] == np.floor(rows[:, 4])), rows[:, 4], -2).astype(np.int64)
-    return found
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from mitsuba_ref.bench import casters, scenes
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.scoring import write_scene
-from mitsuba_ref.reference.subprocess_runner import import_path
+from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.reference.variants import LLVM, environment_for, usable_variants
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
@@ -124,7 +124,7 @@ def test_mitsuba_is_timed_with_the_image_that_ours_is(tmp_path):
     made = SCENES["kinds-lit"].make()
     lamp_alone = made.model_copy(update={"lights": made.lights[:1]})
     write_scene(replace(SCENES["kinds-lit"], make=lambda: lamp_alone), tmp_path, 64)
-    environment = environment_for(LLVM) | {"PYTHONPATH": import_path()}
+    environment = environment_for(LLVM) | {"PYTHONPATH": str(PACKAGE_PARENT)}
     command = [sys.executable, "-c", VALUES, str(tmp_path)]
     said = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | environment)
     found = json.loads(said.stdout)

@@ -16,15 +16,15 @@ from pages import read_result
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring
 from mitsuba_ref.bench.casters import BY_KEY
-from mitsuba_ref.bench.drivers import AOVS, FILM
-from mitsuba_ref.bench.measuring import CasterEnded, CasterRun, Settings, time_scene
+from mitsuba_ref.bench.drivers import AOVS, FILM, CannotRun
+from mitsuba_ref.bench.measuring import CasterRun, Settings, time_scene
 from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Score, as_text, overview, rows
 from mitsuba_ref.bench.scenes import SCENES, scene_of_file
 from mitsuba_ref.bench.scoring import sampled_rows, score, write_scene
 from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.judge.adjudication import ExactHits
 from mitsuba_ref.judge.verdict import as_json
-from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded
+from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded, ResidentProcess
 from mitsuba_ref.report.results import write_result
 
 
@@ -166,9 +166,9 @@ ENDS = {
 @pytest.mark.parametrize("script", ENDS)
 def test_every_end_of_a_process_is_a_reason(script, monkeypatch):
     monkeypatch.setattr(measuring, "REQUEST_TIMEOUT_S", 0.5 if "sleep" in script else 30.0)
-    monkeypatch.setattr(measuring, "WORKER", (sys.executable, "-c", script))
+    monkeypatch.setattr(measuring, "run_module", lambda *_, **__: ResidentProcess([sys.executable, "-c", script]))
     process = measuring.start_process(BY_KEY["ours"], "/nowhere", BY_NAME["one-sphere"])
-    with pytest.raises(CasterEnded) as end:
+    with pytest.raises(CannotRun) as end:
         CasterRun(BY_KEY["ours"], 4, process).request(do="build", size=4)
     assert str(end.value) == ENDS[script]
     process.close()  # again does nothing
