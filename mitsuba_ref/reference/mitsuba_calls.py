@@ -250,21 +250,26 @@ def _array_of(values: list[Any]) -> Array:
 
 
 def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
-    count = len(request.o)
-    o, d, *leaving = (
-        [mi.Float(np.ascontiguousarray(column)) for column in array.T]
-        for array in (request.o, request.d, request.leaving)
-        if array is not None
-    )
-    ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d), mi.Float(request.t_max), mi.Float(0.0), mi.Color0f())
+    count, ray = len(request.o), vectorised_rays(request.o, request.d, request.t_max)
     pi = scene.ray_intersect_preliminary(ray, coherent=True)  # a hint that changes no bit
     si = pi.compute_surface_interaction(ray, int(mi.RayFlags.All))
     hit = si.is_valid()
-    values = _values(scene, emitters, pi, si, hit, *map(mi.Vector3f, leaving))
+    leaving = None if request.leaving is None else mi.Vector3f(_columns(request.leaving))
+    values = _values(scene, emitters, pi, si, hit, leaving)
     dr.eval(pi, si, hit, values)
     rows = np.flatnonzero(_rows(hit, count))
     found = {name: _rows(each, count)[rows] for name, each in values.items()}
     yield rows, found | {"shape": _llvm_shapes(scene, si, count)[rows]}
+
+
+def vectorised_rays(o: Array, d: Array, t_max: Array) -> Any:
+    """A ray of arrays: o and d (n, 3), t_max (n,), float32."""
+    o, d = mi.Point3f(_columns(o)), mi.Vector3f(_columns(d))
+    return mi.Ray3f(o, d, mi.Float(t_max), mi.Float(0.0), mi.Color0f())
+
+
+def _columns(rows: Array) -> list[Any]:
+    return [mi.Float(np.ascontiguousarray(column)) for column in rows.T]
 
 
 def _llvm_shapes(scene: Any, si: Any, count: int) -> Array:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from mitsuba_ref.reference import messages, variants
-from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE
+from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, file_stamp
 from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse, start
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, serve
@@ -94,7 +94,7 @@ def request_key(request: TraceRequest) -> str:
             repr(machine()),
             environment_settings(*REFERENCE_SETTINGS),
             *(source.read_bytes() for source in SOURCES),
-            variants.file_stamp(library),
+            file_stamp(library),
             named.to_bytes(),
             *(part for file in files for part in (file.name, file.read_bytes())),
         ]

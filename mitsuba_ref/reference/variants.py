@@ -15,7 +15,7 @@ from caster.description.errors import SceneError, suggestion
 from caster.system.atomic_files import ScratchFolder
 from caster.system.terminal import folded
 from mitsuba_ref.reference import messages
-from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, installation
+from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, file_stamp, installation
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine, user_store
 
@@ -237,15 +237,6 @@ def _candidates() -> list[str]:
 
 # A path of the whole LLVM library, not of a part or a fork of it.
 WHOLE_LLVM = re.compile(r"/libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*$")
-
-
-def file_stamp(path: str) -> str:
-    """The path with the size and the time of its file, for a key."""
-    try:
-        status = os.stat(path)
-    except OSError:
-        return f"{path} missing"
-    return f"{path} {status.st_size} {status.st_mtime_ns}"
 
 
 MAX_PROBLEM_CHARACTERS, MAX_PROBLEMS = 110, 2  # in one line
