@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import pickle
 import sys
 import time
@@ -30,7 +29,6 @@ from mitsuba_ref.report.results import largest
 from mitsuba_ref.subjects.subject import Answer, scene_as_traced
 
 LAST_WORDS = 300  # characters kept of a dead caster's output
-WORKER = "mitsuba_ref.bench.worker"
 
 MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
 MAX_CAST_S = 0.2  # seconds of a slow caster's cast; its film is made smaller until it fits
@@ -45,10 +43,8 @@ def start_process(caster: TimedCaster, folder: str, scene: BenchScene) -> Reside
     folder: as `write_scene` writes it.
     """
     work = Work(folder, scene.workload, caster.driver, scene.aovs, caster.options)
-    environment, text = variants.environment_for(caster.variant), json.dumps(asdict(work))
-    with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
-        fd = notices.fileno()
-        return run_module(sys.executable, WORKER, text, str(fd), environment=environment, pass_fds=(fd,))
+    environment = variants.environment_for(caster.variant)
+    return run_module(sys.executable, "mitsuba_ref.bench.worker", json.dumps(asdict(work)), environment=environment)
 
 
 def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
@@ -124,8 +120,9 @@ class CasterRun:
         self.request(do="build", size=first or self.size)
         self.request(do="cast", least=0.0)
         if first:
-            found = self.request(do="cast", least=0.0)
-            self.size = fitting_size(first, found["seconds"], self.size)
+            times_as_fast = MAX_CAST_S / self.request(do="cast", least=0.0)["seconds"]
+            doublings = int(max(0.0, math.log2(times_as_fast) // 2.0))  # of the side
+            self.size = min(first * 2**doublings, self.size)
 
     def warm_up(self) -> None:
         """Build again to time it, and cast a few times."""
@@ -148,12 +145,6 @@ class CasterRun:
         return Row(it.key, it.title, size=self.size, seconds=tuple(self.seconds), **self.row)
 
 
-def fitting_size(first: int, seconds: float, most: int) -> int:
-    """`first` times the largest power of two that should be cast within MAX_CAST_S, up to `most`."""
-    doublings = int(max(0.0, math.log2(MAX_CAST_S / seconds) // 2.0))
-    return min(first * 2**doublings, most)
-
-
 def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], size: int, alternations: int) -> SceneResult:
     """Time all casters on a scene, in turns, and measure their errors, unless other AOVs are asked for."""
     begun = time.perf_counter()
@@ -162,7 +153,7 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], size: int, alt
         ready = write_scene(scene, Path(folder), size)
         runs = [CasterRun(each, size, row={"why": each.missing()}) for each in casters]
         try:
-            report_stage("starting the casters")
+            report_stage("starting the casters, which compile once")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
                 if not run.row["why"]:
                     run.process = start_process(run.caster, folder, scene)

@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -67,14 +66,12 @@ def interpreter() -> str:
 @contextlib.contextmanager
 def chosen(python: str) -> Iterator[None]:
     """A context in which that interpreter runs Mitsuba; for one thread."""
-    before = os.environ.get(PYTHON_VARIABLE)
+    before = os.environ.get(PYTHON_VARIABLE, "")
     os.environ[PYTHON_VARIABLE] = python
     try:
         yield
     finally:
-        del os.environ[PYTHON_VARIABLE]
-        if before is not None:
-            os.environ[PYTHON_VARIABLE] = before
+        os.environ[PYTHON_VARIABLE] = before
 
 
 def installation() -> Installation:
@@ -88,11 +85,10 @@ def installation_of(python: str) -> Installation:
         if shutil.which(python) is None:
             hint = f"; did you mean {python}/bin/python?" if os.path.isdir(python) else ""
             raise SceneError(f"is no program{hint}")
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": import_path()}, folder)
-            except OSError as error:
-                raise SceneError(f"cannot be started: {error.strerror}") from None
+        try:
+            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": import_path()})
+        except OSError as error:
+            raise SceneError(f"cannot be started: {error.strerror}") from None
         _, mark, description = end.output.rpartition("DESCRIPTION")
         if not mark or end.code != 0:
             raise SceneError(f"does not answer as a Python does: {f'{end.exit} {end.headline}'.strip()}")

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, file_stamp
@@ -126,7 +126,7 @@ def respond(content: bytes) -> bytes:
         return mitsuba_calls.answer(messages.message_of(content)).to_bytes()
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
-        end_process(1)
+        os._exit(1)  # without the interpreter's cleanup, in which Dr.Jit has been seen to hang
 
 
 def is_large() -> bool:
@@ -141,13 +141,6 @@ def is_large() -> bool:
     return used > RESIDENT_BYTES
 
 
-def end_process(code: int) -> NoReturn:
-    """End without the interpreter's cleanup, in which Dr.Jit has been seen to hang after all output was written."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
 if __name__ == "__main__":
     serve(respond, IDLE_SECONDS, is_large)
-    end_process(0)
+    os._exit(0)

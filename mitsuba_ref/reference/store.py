@@ -44,13 +44,11 @@ class StoreFolder:
         try:
             content = None if self.refusal() else read_sealed(path)
             os.utime(path)  # used
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError):  # another user's, or damaged
+            return content
+        except (OSError, ValueError):  # missing, another user's, or damaged
             with contextlib.suppress(OSError):
                 path.unlink()
             return None
-        return content
 
     def put(self, key: str, content: bytes) -> None:
         """Store bytes under a key; they may be dropped at any time. Never raises."""

@@ -115,9 +115,7 @@ def allow_subprocesses() -> None:
     _starts_refused.clear()
 
 
-def run(
-    command: Sequence[str], timeout: float, environment: Mapping[str, str] | None = None, cwd: str | None = None
-) -> ProcessEnd:
+def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] | None = None) -> ProcessEnd:
     """Run a command to its end, or kill it after `timeout` seconds. environment: added to that of this process.
 
     Raises OSError where the command cannot be started.
@@ -125,7 +123,7 @@ def run(
     begin = time.monotonic()
     with tempfile.TemporaryFile() as output:
         try:
-            child = _start(command, output, stdin=subprocess.DEVNULL, environment=environment, cwd=cwd)
+            child = _start(command, output, stdin=subprocess.DEVNULL, environment=environment)
         except ProcessEnded as refused:
             return refused.end
         code: int | None = None
@@ -158,23 +156,13 @@ class ResidentProcess:
     """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured. Close it."""
 
     def __init__(
-        self,
-        command: Sequence[str],
-        environment: Mapping[str, str] | None = None,
-        cwd: str | None = None,
-        pass_fds: Sequence[int] = (),
+        self, command: Sequence[str], environment: Mapping[str, str] | None = None, cwd: str | None = None
     ) -> None:
         """Raises OSError, ProcessEnded where it cannot be started."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         try:
             self.process = _start(
-                command,
-                self._output,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                cwd=cwd,
-                environment=environment,
-                pass_fds=pass_fds,
+                command, self._output, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=cwd, environment=environment
             )
         except BaseException:
             self._output.close()
@@ -279,16 +267,14 @@ def _read(file: IO[bytes], count: int) -> bytes:
     return bytes(data)
 
 
-def run_module(
-    python: str, module: str, *words: str, environment: Mapping[str, str], pass_fds: Sequence[int] = ()
-) -> ResidentProcess:
+def run_module(python: str, module: str, *words: str, environment: Mapping[str, str]) -> ResidentProcess:
     """Run a module of ours that calls `serve`, in a Python that does not import from the current folder.
 
     Raises ProcessEnded while starts are refused.
     """
     command = [python, "-P", "-c", RUN_MODULE, str(PACKAGE_PARENT), module, *words]
     path = {"PYTHONPATH": import_path()}
-    return ResidentProcess(command, {**environment, **path}, cwd=tempfile.gettempdir(), pass_fds=pass_fds)
+    return ResidentProcess(command, {**environment, **path}, cwd=tempfile.gettempdir())
 
 
 def import_path() -> str:
@@ -317,7 +303,6 @@ def _start(
     cwd: str | None = None,
     environment: Mapping[str, str] | None = None,
     stdout: int | None = None,
-    pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[bytes]:
     """Start a command in a session of its own. stdout: in place of `output`.
 
@@ -333,7 +318,6 @@ def _start(
             stdin=stdin,
             stdout=output if stdout is None else stdout,
             stderr=output,
-            pass_fds=pass_fds,
             start_new_session=True,  # Ctrl-C is for this process, which then ends the child
         )
         _running.add(child.pid)

@@ -96,8 +96,7 @@ def checked_answer(
     count = int(there.sum())
     t = spread(checked_array("t", t, (count,), np.inf), there, np.inf)
     n = None if n is None else spread(checked_array("n", n, (count, 3), 0.0), there, 0.0)
-    kinds = [a.dtype for a in (t, n) if a is not None]
-    precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
+    precision = precision or str(min(a.dtype for a in (t, n) if a is not None))
     t = t.astype(np.float64)
     t = np.where(t > t_max, np.inf, t)
     broken = {"t is NaN": np.isnan(t), "t is negative": t < 0.0}
@@ -292,7 +291,6 @@ def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED
 class OurCaster(Subject):
     """The subject `ours`."""
 
-    name: str = ""
     takes_rays: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
@@ -303,4 +301,4 @@ class OurCaster(Subject):
         return answer_of_view(request.scene, cast_ours(request.scene, request.rays), names)
 
 
-OURS = OurCaster()
+OURS = OurCaster("")

