@@ -168,14 +168,15 @@ class SceneExport:
     meshes: dict[str, bytes]
     notes: list[str]
 
-    def write(self, folder: Path, name: str = "scene.xml") -> Path:
+    def write(self, folder: Path) -> Path:
         """Write everything into a folder, creating it; returns the path of the XML. Raises OutputError."""
         check_folder(folder)
         for file, content in self.meshes.items():
             check_folder((folder / file).parent)
             write_bytes(folder / file, content)
-        write_text(folder / name, self.xml)
-        return folder / name
+        path = folder / "scene.xml"
+        write_text(path, self.xml)
+        return path
 
 
 def export_scene(scene: Scene) -> SceneExport:

@@ -123,7 +123,7 @@ def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] |
     begin = time.monotonic()
     with tempfile.TemporaryFile() as output:
         try:
-            child = _start(command, output, stdin=subprocess.DEVNULL, environment=environment)
+            child = _start(command, output, environment)
         except ProcessEnded as refused:
             return refused.end
         code: int | None = None
@@ -161,9 +161,7 @@ class ResidentProcess:
         """Raises OSError, ProcessEnded where it cannot be started."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         try:
-            self.process = _start(
-                command, self._output, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=cwd, environment=environment
-            )
+            self.process = _start(command, self._output, environment, cwd=cwd, pipes=True)
         except BaseException:
             self._output.close()
             raise
@@ -298,13 +296,12 @@ def captured(output: IO[bytes]) -> str:
 def _start(
     command: Sequence[str],
     output: IO[bytes],
+    environment: Mapping[str, str] | None,
     *,
-    stdin: int,
     cwd: str | None = None,
-    environment: Mapping[str, str] | None = None,
-    stdout: int | None = None,
+    pipes: bool = False,
 ) -> subprocess.Popen[bytes]:
-    """Start a command in a session of its own. stdout: in place of `output`.
+    """Start a command in a session of its own. pipes: its stdin and stdout are pipes; else stdout goes to `output`.
 
     Raises ProcessEnded while starts are refused, and OSError.
     """
@@ -315,8 +312,8 @@ def _start(
             command,
             cwd=cwd,
             env={**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())},
-            stdin=stdin,
-            stdout=output if stdout is None else stdout,
+            stdin=subprocess.PIPE if pipes else subprocess.DEVNULL,
+            stdout=subprocess.PIPE if pipes else output,
             stderr=output,
             start_new_session=True,  # Ctrl-C is for this process, which then ends the child
         )

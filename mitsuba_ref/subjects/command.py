@@ -15,11 +15,9 @@ import numpy as np
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.packing import Packed, concatenate_parts
 from caster.image.exr import Exr, UnreadableExr, read_exr
-from caster.scene.model import Scene
 from caster.system.terminal import printable
-from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.tolerances import KU, U32
+from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
     HEAD_BYTES,
@@ -190,13 +188,6 @@ def answer_from_exr(exr: Exr, request: CastRequest, subject: "CommandSubject | E
         own_camera=True,
         notes=(OWN_CAMERA_NOTE, *steps),
     )
-
-
-def camera_rounding(scene: Scene) -> tuple[float, float]:
-    """Effect of float32 rounding on camera rays: change of d relative to its length, shift of o in scene units."""
-    turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
-    reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
-    return turn, turn * reach
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Subjects: the base class, answers to the rays of a scene, the scene in traced values; and our caster."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -280,9 +280,12 @@ def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
     return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
 
 
-def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED_AOVS, *DERIVED_AOVS)) -> Answer:
+def answer_of_view(scene: Scene, view: RayHits) -> Answer:
     """The answer to the rays of a view, one per pixel of the film's window."""
-    images = evaluate(view, aovs, film_window(scene))
+    original, names = original_of(scene), [*COMPARED_AOVS, *DERIVED_AOVS]
+    if original and original.coverage.unlit:
+        names.remove("diffuse")
+    images = evaluate(view, names, film_window(scene))
     nearest = view.nearest
     return Answer(nearest.t, None, FLOAT64, {}, prim=nearest.prim, images=images, exact_visibility=True)
 
@@ -295,10 +298,7 @@ class OurCaster(Subject):
 
     def answer(self, request: CastRequest) -> Answer:
         """Cast the request's rays."""
-        original, names = original_of(request.scene), [*COMPARED_AOVS, *DERIVED_AOVS]
-        if original and original.coverage.unlit:
-            names.remove("diffuse")
-        return answer_of_view(request.scene, cast_ours(request.scene, request.rays), names)
+        return answer_of_view(request.scene, cast_ours(request.scene, request.rays))
 
 
 OURS = OurCaster("")
