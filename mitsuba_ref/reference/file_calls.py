@@ -46,7 +46,7 @@ class Parsed(NamedTuple):
     dropped: Counter[str]  # what was dropped or replaced
     unlit: list[str]  # why diffuse cannot be compared
     names: dict[int, str]  # ids in the file, by node
-    refers: dict[int, list[int]]  # nodes that a node refers to, in their order
+    refers: dict[int, list[int]]  # nodes that a node refers to, in their order; instantiation removes them
     materials: dict[int, dict[str, Any] | None]  # of each bsdf that a shape has, as the caster has it
     textures: dict[int, dict[str, Any]]  # of these materials, by node: without colours, but with their place
     colored: dict[str, dict[str, Any]]  # materials of shapes by name, with the colours of their textures
@@ -291,15 +291,15 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse | OpenRefu
             about = {"plugin": props.plugin_name(), "place": parsed.place(i)}
             shapes.append(_shape(shape) | about | {"material": _material_of(parsed, i, shape)})
     paths = [path for _, _, path in _files(parsed, kind.Shape, kind.Texture)]
-    film = sensor.film()
-    (x, y), (width, height) = film.crop_offset(), film.crop_size()
+    (width, height), (x, y) = sensor.film().size(), sensor.film().crop_offset()
+    across, down = sensor.film().crop_size()
+    crop = None if (across, down) == (width, height) else [x, y, x + across, y + down]
     return OpenResponse(
         rays=sensor_rays(sensor, variant),
         shapes=shapes,
         placed=list(_placements(parsed, loaded, number_of)),
         materials=parsed.colored,
-        size=list(film.size()),
-        crop=[x, y, x + width, y + height],
+        film={"width": width, "height": height, "crop": crop},
         camera=_camera(parsed.state.nodes[int(sensor.id())].props if sensors else mi.Properties(VIEW), sensor),
         lights=[found for _, props in parsed.nodes(kind.Emitter) if (found := light(props))],
         unlit=parsed.unlit,
@@ -326,7 +326,7 @@ def _material_of(parsed: Parsed, number: int, shape: Any) -> str | None:
     if not bsdfs or not (found := parsed.materials[bsdfs[0]]):
         return None
     bsdf, texture = bsdfs[0], found.get("reflectance")
-    name, of_mesh = parsed.names[bsdf] or f"material-{bsdf}", False
+    name = parsed.names[bsdf] or f"material-{bsdf}"
     if isinstance(texture, dict) and "colors" in texture:
         of_mesh = texture["type"] == "mesh_colors"
         name = f"{name} of shape {number}" if of_mesh else name  # each mesh has its own

@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.interpreter import interpreter
 from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded, ResidentProcess, run_module
 
-ARRAY = "array"  # {ARRAY: name} stands in the record for an array of the file
+ARRAY = "\0"  # {ARRAY: name} stands in the record for an array of the file; no name in a scene has this character
 
 
 class Message:
@@ -76,8 +76,7 @@ class OpenResponse(Message):
     shapes: Sequence[dict[str, Any]]  # reference/file_calls.py:_shape
     placed: Sequence[Any]  # Placements of reference/file_calls.py
     materials: Mapping[str, dict[str, Any]]  # by name, as the caster has them
-    size: Sequence[int]  # of the film
-    crop: Sequence[int]
+    film: Mapping[str, Any]  # fields of the caster's
     camera: Mapping[str, Any]  # the sensor's plugin and numbers
     lights: Sequence[dict[str, Any]]
     unlit: Sequence[str]  # lights and materials that the caster has not

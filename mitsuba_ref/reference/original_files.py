@@ -138,9 +138,7 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     unlit = [*found.unlit, *without_uv] or ([] if found.lights else ["the file has no light"])
     if left_out:
         unlit.append(f"the shadows of the {len(left_out)} shapes that are left out are missing")
-    x0, y0, x1, y1 = found.crop
-    whole = (x0, y0, x1, y1) == (0, 0, *found.size)
-    film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
+    film = Film(**found.film)
     camera, exact, note = camera_of(found.camera)
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
     across = np.eye(3)[np.argmin(np.abs(d))].tolist()  # not parallel to d

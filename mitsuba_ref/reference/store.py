@@ -9,8 +9,8 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import random
 import sys
-import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -57,7 +57,7 @@ class StoreFolder:
         except OSError:
             return
         if not self.refusal() and len(content) < self.limit:
-            if zlib.crc32(key.encode()) * self.limit < len(content) * LISTINGS << 32:
+            if random.random() * self.limit < len(content) * LISTINGS:
                 self._make_room(len(content))
             write_sealed(self.folder / f"{key}{SUFFIX}", content)
 

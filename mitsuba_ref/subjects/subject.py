@@ -200,24 +200,21 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     description, each becomes a shape, so that numbers of primitives through the scene stay as they are.
     """
     check_folder(folder / "meshes")
-    shapes = [each for i in range(len(scene.shapes)) for each in _described(scene, packed, i, folder)]
+    shapes: list[dict[str, Any]] = []
+    for i, (shape, name, part) in enumerate(zip(scene.shapes, scene.shape_names(), packed.parts, strict=True)):
+        named = {"name": name, **kept_fields(shape)}
+        path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
+        count, describe_all = int(packed.first[i + 1] - packed.first[i]), kind_of(part).describe_all
+        if isinstance(part, Triangles):
+            write_bytes(path, ply_bytes(part))
+            flat = {} if part.smooth.any() else {"face_normals": True}
+            shapes.append({"type": "mesh", "file": str(path), **flat, **named})
+        elif count != 1 and describe_all:
+            shapes.append(describe_all(part, path) | named)
+        else:
+            shapes += [describe_surface(part, k) | named | ({"name": f"{name}-{k}"} if k else {}) for k in range(count)]
     fields = {name: getattr(scene, name) for name in ("film", "camera", "lights", "materials", "shading")}
     return Scene(**fields, shapes=shapes)
-
-
-def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[str, Any]]:
-    """The shape; or its primitives, where these are described one by one."""
-    part, name = packed.parts[i], scene.shape_names()[i]
-    named = {"name": name, **kept_fields(scene.shapes[i])}
-    path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
-    if isinstance(part, Triangles):
-        write_bytes(path, ply_bytes(part))
-        mesh: dict[str, Any] = {"type": "mesh", "file": str(path)}
-        return [mesh | named if part.smooth.any() else mesh | {"face_normals": True} | named]
-    count, describe_all = int(packed.first[i + 1] - packed.first[i]), kind_of(part).describe_all
-    if count != 1 and describe_all:
-        return [describe_all(part, path) | named]
-    return [describe_surface(part, k) | named | ({"name": f"{name}-{k}"} if k else {}) for k in range(count)]
 
 
 # ---- subjects ----

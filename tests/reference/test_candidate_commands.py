@@ -60,6 +60,12 @@ def judged(command: str, scene: Scene, seconds: float = 60.0) -> SceneVerdict:
     return validate_scene(scene, "scene", subject=parse_candidate(command, None, seconds))
 
 
+def judged_program(tmp_path, source: str, scene: Scene, words: str, seconds: float = 60.0) -> SceneVerdict:
+    """The verdict on a Python program that is called with these words."""
+    (tmp_path / "program.py").write_text(source)
+    return judged(f"{PYTHON} {tmp_path / 'program.py'} {words}", scene, seconds)
+
+
 # ---- right ----
 
 
@@ -72,8 +78,7 @@ def test_our_own_command_passes(name):
 
 @pytest.mark.parametrize("name", ["every-shape", "orthographic-clip"])
 def test_a_program_that_reads_the_xml_passes(tmp_path, name):
-    (tmp_path / "program.py").write_text(MITSUBA)
-    found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{xml}} {{exr}}", small(name))
+    found = judged_program(tmp_path, MITSUBA, small(name), "{xml} {exr}")
     assert found.ok, failure_text(found)
 
 
@@ -120,6 +125,7 @@ depth, normal = np.full((height, width), np.inf), np.zeros((height, width))
 channels = {"depth.Z": depth, "A": np.isfinite(depth)} | {f"normal.{axis}": normal for axis in "XYZ"}
 """
 SAVE = "\nwrite_exr(exr, channels)\n"
+WORDS = "{exr} {width} {height} {toml}"
 
 FAILING = [
     ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the program was ended by SIGSEGV; it printed nothing"),
@@ -147,29 +153,24 @@ FAILING = [
 @pytest.mark.parametrize(("program", "says"), FAILING, ids=[says for _, says in FAILING])
 @pytest.mark.slow("each judges a film", keep=5)
 def test_no_image_to_judge_is_a_problem_and_never_a_pass(tmp_path, program, says):
-    (tmp_path / "program.py").write_text(program)
-    seconds = 1.0 if "sleep" in program else 60.0
-    command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
-    found = judged(command, small("one-sphere"), seconds)
+    found = judged_program(tmp_path, program, small("one-sphere"), WORDS, 1.0 if "sleep" in program else 60.0)
     assert not found.ok and says in found.problem and "FAIL" in failure_text(found)
 
 
 def test_an_image_that_misses_everything_fails(tmp_path):
-    (tmp_path / "program.py").write_text(WRITE + SAVE)
-    command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
-    found = judged(command, small("one-sphere"))
+    found = judged_program(tmp_path, WRITE + SAVE, small("one-sphere"), WORDS)
     assert found.counts[WRONG] == found.hit_pixels > 50
     assert found.findings[0].what == "the candidate misses everything"
 
 
 def test_an_image_whose_depth_is_off_by_a_hundred_thousandth_fails(tmp_path):
     """Rounding of its own camera excuses far less."""
-    (tmp_path / "program.py").write_text(
+    program = (
         "import sys\nfrom caster.__main__ import main\nfrom caster.image.exr import read_exr, write_exr\n"
         "assert main(['render', sys.argv[1], '-o', sys.argv[2], '--aov', 'depth,normal']) == 0\n"
         "exr = read_exr(sys.argv[2]); exr.channels['depth.Z'] *= 1.00001; write_exr(sys.argv[2], exr.channels)\n"
     )
-    found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{toml}} {{exr}}", small("cornell-box"))
+    found = judged_program(tmp_path, program, small("cornell-box"), "{toml} {exr}")
     assert found.counts[WRONG] > 0.9 * found.hit_pixels, failure_text(found)
 
 

@@ -162,9 +162,10 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
 
 def test_a_request_and_its_rays_come_back_bit_for_bit(tmp_path):
     bits = np.random.default_rng(7).integers(0, 2**32, (100, 7), np.uint32).view(np.float32)
-    request = TraceRequest(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6])
+    named = {"array": {"array": "any name"}}
+    request = TraceRequest(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6], original=named)
     again = messages.message_of(request.to_bytes())
-    assert again.xml == str(request.xml)
+    assert again.xml == str(request.xml) and again.original == named
     for name in ("o", "d", "t_max"):
         assert getattr(request, name).tobytes() == getattr(again, name).tobytes()
 
@@ -184,13 +185,13 @@ def test_a_response_that_is_not_whole_is_refused(ball, tmp_path):
     for content in (
         b"",
         whole[:-200],
-        changed(**{fields["t"]["array"]: None}),
+        changed(**{fields["t"][messages.ARRAY]: None}),
         *(changed(record=each) for each in (None, *records)),
     ):
         with pytest.raises(ValueError, match="no whole answer"):
             messages.message_of(content)
     with pytest.raises(ValueError, match="no whole answer: ValueError: shape: expected one of the named"):
-        messages.message_of(changed(**{fields["shape"]["array"]: np.array([1], np.int32)}))
+        messages.message_of(changed(**{fields["shape"][messages.ARRAY]: np.array([1], np.int32)}))
 
 
 # ---- a process that stays

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, shape, sun, write
-from places import ROOT
 
 import caster
 import mitsuba_ref
@@ -164,34 +163,6 @@ def test_light_times_its_visibility_is_what_the_direct_integrator_renders(tmp_pa
     assert {"wall", "ball", "egg", "back", "dark"} == {answer.names[k] for k in set(answer.shape)}
     assert np.sum(~answer.light_visible[0] & answer.light_rgb[0].any(axis=1)) > 100, "nothing is shadowed"
     assert np.array_equal(lit, rendered)
-
-
-PRINTS = """
-import sys
-from pathlib import Path
-import numpy as np
-from mitsuba_ref.reference import mitsuba_calls
-from mitsuba_ref.reference.messages import TraceRequest
-o = np.zeros((1, 3), np.float32)
-answered, refused = (Path(path) for path in sys.argv[1:3])
-mitsuba_calls.answer(TraceRequest(answered, sys.argv[3], o, o + 1, o[:, 0] + 9, sensor=True))
-try:
-    mitsuba_calls.answer(TraceRequest(refused, sys.argv[3], o, o + 1, o[:, 0] + 9, sensor=True))
-except RuntimeError as refusal:
-    assert "non-uniform" in str(refusal)
-else:
-    raise AssertionError("not refused")
-"""
-
-
-@pytest.mark.parametrize("variant", HERE[-1:])
-def test_the_child_process_prints_nothing(tmp_path, variant):
-    """Its output would be mixed with results of commands. One of the two scenes is refused."""
-    round_one = write(tmp_path, shape("sphere", "ball", 0), "round.xml")
-    stretched = write(tmp_path, shape("sphere", "ball", 0, stretch="2 1 1"), "stretched.xml")
-    command = [sys.executable, "-c", PRINTS, round_one, stretched, variant]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize("variant", HERE)

@@ -84,14 +84,6 @@ def test_a_cloud_is_handed_on_whole_and_its_ids_are_those_of_the_scene(to_world,
         assert not validate_scene(scene, "clouds", subject=Named(off=-1)).ok
 
 
-@pytest.mark.parametrize("path", SCENES[::6], ids=lambda path: path.stem)
-def test_as_toml_it_loads_again(path, tmp_path):
-    scene = load_scene(path)
-    traced = scene_as_traced(scene, pack(scene, as_float32), tmp_path)
-    (tmp_path / "scene.toml").write_text(traced.to_toml())
-    assert load_scene(tmp_path / "scene.toml") == traced
-
-
 def test_what_is_no_answer_at_a_pixel_is_noted_by_its_reason():
     t = np.array([1.0, np.nan, -1.0, -np.inf, np.inf, 1.0, 1.0, 1.0])
     n = np.tile([0.0, 0.0, 2.0], (8, 1))
