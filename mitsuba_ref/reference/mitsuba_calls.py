@@ -109,7 +109,7 @@ def _sensor_rays(sensor: Any, variant: str) -> Array:
     (x0, y0), (width, height) = sensor.film().crop_offset(), sensor.film().crop_size()
     y, x = (np.ravel(each) for each in np.meshgrid(_centers(y0, height), _centers(x0, width), indexing="ij"))
     aperture, point = mi.Point2f(CENTER), mi.Point2f
-    if _is_vectorised(variant):
+    if not variant.startswith("scalar"):
         ray = _sensor_ray(sensor, point(mi.Float(x), mi.Float(y)), aperture)
         return np.column_stack([_rows(values, len(x)) for values in (ray.o, ray.d, ray.maxt)])
     pairs = zip(x.tolist(), y.tolist(), strict=True)
@@ -146,10 +146,6 @@ def _versions(request: TraceRequest) -> dict[str, str]:
     }
 
 
-def _is_vectorised(variant: str) -> bool:
-    return not variant.startswith("scalar")
-
-
 # ---- hits
 
 
@@ -172,8 +168,8 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
     for k in range(lights):
         columns |= {_RGB % k: found["light_rgb"][k], _VISIBLE % k: found["light_visible"][k]}
     names = {shape.id(): i for i, shape in enumerate(scene.shapes())}
-    vectorised = _is_vectorised(request.variant) and count  # LLVM takes no empty arrays
-    hits = _llvm_hits if vectorised else _scalar_hits
+    scalar = request.variant.startswith("scalar") or not count  # LLVM takes no empty arrays
+    hits = _scalar_hits if scalar else _llvm_hits
     for rows, values in hits(scene, emitters, request, names):
         for name, column in values.items():
             columns[name][rows] = column

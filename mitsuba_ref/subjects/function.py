@@ -97,7 +97,6 @@ def function_subject(call: Callable[..., Any], name: str = "", precision: str | 
 
 
 CALLED = "it is called as function(scene, o, d), with o and d (n, 3) float64, and returns (t, n)"
-LIMITS = ("t_min", "t_max")  # further parameters that a function may have
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ class FunctionSubject(Subject):
     def takes_limits(self) -> bool:
         """Whether it has parameters t_min and t_max."""
         try:
-            return set(LIMITS) <= inspect.signature(self.call).parameters.keys()
+            return {"t_min", "t_max"} <= inspect.signature(self.call).parameters.keys()
         except (TypeError, ValueError):  # of a built-in function
             return False
 

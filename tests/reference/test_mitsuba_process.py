@@ -217,7 +217,6 @@ FAULTS = {
     "a length without end": "os.write(pipe, b'\\xff' * 9)",
     "noise": "os.write(pipe, b'noise\\n' + bytes(100))",
     "half a response": "return mitsuba_process.respond(request)[:-200]",
-    "refusal": "os._exit(1)",
     "hang": "time.sleep(600)",
 }
 

@@ -111,13 +111,8 @@ def replaced(**fields):
 
 CHANGES = {
     "rays": replaced(o=lambda r: np.nextafter(r.o, np.float32(9))),
-    "directions": replaced(d=lambda r: -r.d),
-    "t_max": replaced(t_max=lambda r: r.o[:, 2]),
-    "one ray less": replaced(o=lambda r: r.o[:-1], d=lambda r: r.d[:-1], t_max=lambda r: r.t_max[:-1]),
     "variant": replaced(variant=lambda r: "llvm_ad_rgb"),
     "lights": replaced(lights=lambda r: not r.lights),
-    "sensor": replaced(sensor=lambda r: not r.sensor),
-    "strict": replaced(strict=lambda r: not r.strict),
     "mesh file": replaced(mesh_files=lambda r: (r.xml,)),
     "XML": other_scene,
     "mesh": file_beside("0.ply", b"plz"),
