@@ -19,7 +19,7 @@ from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import write_reproducers
 from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, short_text
-from mitsuba_ref.subjects.bounce_films import bounce_film
+from mitsuba_ref.subjects.bounce_films import bounce_films
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -75,7 +75,7 @@ def validate_scene(
     start = time.perf_counter()
     task = Task(scene, name, path, subject, rays, timeout, send, thorough)
     if bounce:
-        secondary = bounce_film(scene, bounce)
+        secondary = next((film for film in bounce_films(scene, bounce) if film.bounce.number == bounce), None)
         if secondary is None:
             return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=("no rays are left",))
         task = task._replace(scene=secondary.scene, rays=secondary.rays, bounce=secondary)

@@ -11,9 +11,8 @@ import pytest
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import casters, scenes
 from mitsuba_ref.bench.casters import BY_KEY
-from mitsuba_ref.bench.measuring import Settings, time_scene
-from mitsuba_ref.bench.scoring import write_scene
-from mitsuba_ref.reference.subprocess_runner import import_path
+from mitsuba_ref.bench.measuring import time_scene, write_scene
+from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.reference.variants import LLVM, environment_for, usable_variants
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
@@ -52,7 +51,7 @@ def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
 )
 def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
     """A caster with a wrong flag could be fast and wrong for most rays."""
-    found = time_scene(SCENES[name], [BY_KEY[key] for key in keys], Settings(16, 1))
+    found = time_scene(SCENES[name], [BY_KEY[key] for key in keys], 16, 1)
     for row in found.rows:
         if not usable_variants().libllvm:
             assert row.why.startswith("llvm_ad_rgb does not work here"), row
@@ -124,7 +123,7 @@ def test_mitsuba_is_timed_with_the_image_that_ours_is(tmp_path):
     made = SCENES["kinds-lit"].make()
     lamp_alone = made.model_copy(update={"lights": made.lights[:1]})
     write_scene(replace(SCENES["kinds-lit"], make=lambda: lamp_alone), tmp_path, 64)
-    environment = environment_for(LLVM) | {"PYTHONPATH": import_path()}
+    environment = environment_for(LLVM) | {"PYTHONPATH": str(PACKAGE_PARENT)}
     command = [sys.executable, "-c", VALUES, str(tmp_path)]
     said = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | environment)
     found = json.loads(said.stdout)

@@ -295,7 +295,6 @@ def test_the_store_depends_on_the_contents_of_every_file(folder):
         assert first != (first := digest()), file
 
 
-MISSING = '<shape type="obj"><string name="filename" value="no.obj"/></shape>'
 STRETCHED = '<transform name="to_world"><scale x="2"/></transform>'
 REFUSED = [
     (
