@@ -317,7 +317,7 @@ def load_course_scene(
         _add_objects(draft, sections["Group"], [])
     except CourseError as error:
         at, said = error.args
-        raise SceneError(format_excerpt(at, said, text, origin)) from None
+        raise SceneError(format_excerpt(at, said, text.split("\n"), origin)) from None
     scene, problems = validated(draft.data, MeshFolders(Path(path).parent, tuple(map(Path, mesh_dirs))))
     if scene is None:
         places = draft.places

@@ -205,7 +205,7 @@ class Description(BaseModel):
             super().__init__(**data)
         except ValidationError as error:
             problems = diagnostics_of(error, {key: plain(value) for key, value in data.items()}, type(self))
-            raise SceneError("\n".join(problem.text for problem in problems)) from None
+            raise SceneError("\n".join(problem.message() for problem in problems)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not name.startswith("_"):

@@ -180,25 +180,29 @@ def located_error(
     problems: Sequence[Diagnostic], place: Callable[[DataPath], Span], text: str, origin: str
 ) -> SceneError:
     """The first diagnostics, each with its line, and how many more; FileMissing if nothing else is wrong."""
-    located = sorted((place(each.path), each.text) for each in problems)
+    located = sorted(((place(each.path), each) for each in problems), key=lambda found: found[0])
+    last = located[:MAX_ERRORS_LISTED][-1][0]
+    messages = sorted((span, each.message()) for span, each in located if span <= last)
+    lines = text.split("\n")
+    excerpts = [format_excerpt(*found, lines, origin) for found in messages[:MAX_ERRORS_LISTED]]
     kind = FileMissing if all(each.missing for each in problems) else SceneError
-    return kind(list_errors(located, lambda found: format_excerpt(*found, text, origin), origin))  # type: ignore[call-arg]  # place, text
+    return kind(list_errors(excerpts, len(problems), origin))
 
 
-def list_errors(errors: Sequence[Any], format_error: Callable[[Any], str], origin: str) -> str:
-    """The first errors, or notes, each on its lines, and how many more there are."""
-    listed = [format_error(error) for error in errors[:MAX_ERRORS_LISTED]]
-    if len(errors) > len(listed):
-        listed.append(f"{origin}: and {len(errors) - len(listed)} more")
+def list_errors(errors: Sequence[str], count: int, origin: str) -> str:
+    """The first of `count` errors, or notes, each on its lines, and how many more there are."""
+    listed = [*errors[:MAX_ERRORS_LISTED]]
+    if count > len(listed):
+        listed.append(f"{origin}: and {count - len(listed)} more")
     return "\n".join(listed)
 
 
 def _syntax_error(error: ValueError, text: str, kind: str, origin: str) -> str:
     line, column, message = _error_position(error, text)
-    span = Span(line, column, 1)
-    rest = text.split("\n")[line - 1][column - 1 :]
-    hint = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
-    return format_excerpt(span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}", text, origin)
+    lines = text.split("\n")
+    hint = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", lines[line - 1][column - 1 :]) else ""
+    sentence = f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}"
+    return format_excerpt(Span(line, column, 1), sentence, lines, origin)
 
 
 def _error_position(error: ValueError, text: str) -> tuple[int, int, str]:
@@ -211,9 +215,8 @@ def _error_position(error: ValueError, text: str) -> tuple[int, int, str]:
     return len(lines), len(lines[-1]) + 1, found[1] if found else str(error)
 
 
-def format_excerpt(span: Span, sentence: str, text: str, origin: str) -> str:
-    """`file:line:column: message`, followed by the line and a marker below the span."""
-    lines = text.split("\n")
+def format_excerpt(span: Span, sentence: str, lines: Sequence[str], origin: str) -> str:
+    """`file:line:column: message`, followed by the line and a marker below the span; lines: of the whole text."""
     line = lines[span.line - 1].rstrip("\r") if span.line <= len(lines) else ""
     start = max(0, span.column - 1 - MAX_LINE_CHARACTERS // 2) if len(line) > MAX_LINE_CHARACTERS else 0
     part = line[start : start + MAX_LINE_CHARACTERS]

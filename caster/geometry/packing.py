@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.description.errors import SceneError, value_diagnostic
+from caster.description.errors import SceneError, value_message
 from caster.description.transform import cross, subtract
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
@@ -152,7 +152,7 @@ def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
     if part is None or not all(np.isfinite(array).all() for array in part):
         text = "must stay finite in world space, but its numbers are too large or too small together"
         model: Any = type(scene)
-        raise SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
+        raise SceneError(value_message(("shapes", i), text, scene, model))
     if isinstance(part, Triangles):
         _check_lengths(part, type(scene.shapes[i]).__name__)
     return part

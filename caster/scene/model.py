@@ -1,6 +1,7 @@
 """The scene model: lights, materials, film, shading, checks, and validation across elements."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union
 
@@ -22,7 +23,7 @@ from caster.description.errors import (
     field_error,
     format_value,
     suggestion,
-    value_diagnostic,
+    value_message,
 )
 from caster.description.fields import (
     RGB,
@@ -197,7 +198,6 @@ def _is_aov(name: str) -> str:
 
 
 AovName = Annotated[str, AfterValidator(_is_aov)]
-Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name
 
 
 def _elements(data: Any, key: str) -> tuple[str, Any]:
@@ -206,30 +206,10 @@ def _elements(data: Any, key: str) -> tuple[str, Any]:
     return spelled, child_of(data, spelled)
 
 
-def _texts(data: Any, key: str) -> Iterator[tuple[DataPath, str]]:
-    """(path, value) of a key of each shape; "" if the value is not a string."""
-    spelled, shapes = _elements(data, "shape")
-    for i, shape in enumerate(shapes if isinstance(shapes, (list, tuple)) else ()):
-        value = child_of(shape, key)
-        yield (spelled, i, key), value if isinstance(value, str) else ""
-
-
-def _unknown_materials(data: Any) -> Findings:
-    table = _elements(data, "material")[1]
-    known = [str(name) for name in table] if isinstance(table, Mapping) else []
-    for path, material in _texts(data, "material"):
-        if material and material not in known:
-            hint = suggestion(material, known) or f"; add a table [material.{material}]"
-            yield path, f"must be one of the materials of this scene, got {format_value(material)}{hint}"
-
-
-def _repeated_names(data: Any) -> Findings:
-    first: dict[str, int] = {}
-    for i, (path, own) in enumerate(_texts(data, "name")):
-        name = own or f"shape-{i}"
-        if name in first:
-            yield path, f"must differ from that of shapes[{first[name]}], got {format_value(name)} again"
-        first.setdefault(name, i)
+def _unknown_material(path: DataPath, material: str, known: Iterable[str], data: Any, model: type[Description]) -> str:
+    hint = suggestion(material, known) or f"; add a table [material.{material}]"
+    text = f"must be one of the materials of this scene, got {format_value(material)}{hint}"
+    return value_message(path, text, data, model)
 
 
 def one_of(registry: Sequence[type[Description]]) -> Any:
@@ -297,10 +277,8 @@ class Scene(Description):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        found = self.problems_across(self)
-        if found:
-            text = "\n".join(problem.text for problem in found)
-            raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": text})
+        if found := self.problems_across(self):
+            raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": found[0].message()})
         for i, (shape, texture) in enumerate(zip(self.shapes, self.textures, strict=True)):
             if texture is not None and (reason := texture.misfit(shape)):
                 text = f"names a material with a texture, but {reason}: give it a colour, or use another shape"
@@ -310,8 +288,22 @@ class Scene(Description):
     @classmethod
     def problems_across(cls, data: Any) -> list[Diagnostic]:
         """Errors across elements of a Scene, or of the input data of one, which may have other errors."""
-        found = (*_unknown_materials(data), *_repeated_names(data))
-        return [value_diagnostic(path, text, data, cls) for path, text in found]
+        spelled, shapes = _elements(data, "shape")
+        _, table = _elements(data, "material")
+        known = {str(name) for name in table} if isinstance(table, Mapping) else set[str]()
+        first: dict[str, int] = {}
+        unknown, repeated = [], []
+        for i, shape in enumerate(shapes if isinstance(shapes, (list, tuple)) else ()):
+            material, name = child_of(shape, "material"), child_of(shape, "name")
+            if isinstance(material, str) and material and material not in known:
+                path: DataPath = (spelled, i, "material")
+                unknown.append(Diagnostic(path, partial(_unknown_material, path, material, known, data, cls)))
+            name = name if isinstance(name, str) and name else f"shape-{i}"
+            if first.setdefault(name, i) != i:
+                text = f"must differ from that of shapes[{first[name]}], got {format_value(name)} again"
+                path = (spelled, i, "name")
+                repeated.append(Diagnostic(path, partial(value_message, path, text, data, cls)))
+        return [*unknown, *repeated]
 
     @property
     def derived(self) -> dict[str, Any]:
