@@ -138,22 +138,18 @@ def value_message(path: DataPath, text: str, data: Any, model: Model) -> str:
     """The message on one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
     depth = getattr(model, "ELEMENTS", {}).get(path[0], 0) if path else 0
     depth = depth if depth <= len(path) else 0
-    name = format_path(path[depth:])
-    return f"{_subject(path[:depth], data, model)}: {name}{' ' if name else ''}{text}"
-
-
-def _subject(path: DataPath, data: Any, model: Model) -> str:
-    """The element that a message concerns: shapes[3] (disk "lid")."""
-    item = data
-    for step in path:
-        item = child_of(item, step)
-    kind, name = child_of(item, "type"), child_of(item, "name")
+    element = data
+    for step in path[:depth]:
+        element = child_of(element, step)
+    kind, name = child_of(element, "type"), child_of(element, "name")
     label = f" {format_value(name)}" if isinstance(name, str) and name else ""
-    if not path:
-        return model.__name__.lower() + label
-    where = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:]))
-    details = f"{_bare(kind) if isinstance(kind, str) else ''}{label}".strip()
-    return f"{where} ({details})" if details else where
+    subject = model.__name__.lower() + label
+    if depth:
+        details = f"{_bare(kind) if isinstance(kind, str) else ''}{label}".strip()
+        place = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:depth]))
+        subject = f"{place} ({details})" if details else place
+    field = format_path(path[depth:])
+    return f"{subject}: {field}{' ' if field else ''}{text}"
 
 
 CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
@@ -242,17 +238,12 @@ def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
         expected = join_words(map(format_value, words))
         return f"must be {expected}, got {format_value(got)}{suggestion(str(got), words)}"
     if kind in LIMIT_SIGNS:
-        sign, key = LIMIT_SIGNS[kind]
-        return f"must be {sign} {format_value(ctx[key])}, got {format_value(got)}"
+        (limit,) = ctx.values()
+        return f"must be {LIMIT_SIGNS[kind]} {format_value(limit)}, got {format_value(got)}"
     return f"must be {EXPECTED_TYPES.get(kind, 'something else')}, got {format_value(got)}"
 
 
-LIMIT_SIGNS = {
-    "greater_than": (">", "gt"),
-    "greater_than_equal": (">=", "ge"),
-    "less_than": ("<", "lt"),
-    "less_than_equal": ("<=", "le"),
-}
+LIMIT_SIGNS = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
 EXPECTED_TYPES = {
     "finite_number": "a finite number",
     "int_type": "a whole number",

@@ -145,7 +145,7 @@ def forget_packed(scene: ShapeCollection, rounded: Rounding, at_least: int) -> N
 
 
 def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
-    """Pack one shape. Raises SceneError unless all numbers are finite."""
+    """Pack one shape. Raises SceneError unless all numbers are finite, ValueError for a mesh with arrays too short."""
     part: Any = None
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         part = scene.shapes[i].pack(rounded)
@@ -153,17 +153,12 @@ def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
         text = "must stay finite in world space, but its numbers are too large or too small together"
         model: Any = type(scene)
         raise SceneError(value_message(("shapes", i), text, scene, model))
-    if isinstance(part, Triangles):
-        _check_lengths(part, type(scene.shapes[i]).__name__)
+    if isinstance(part, Triangles):  # whose arrays kernels would read beyond their ends
+        shape, vertices, faces = type(scene.shapes[i]).__name__, len(part.vertices), len(part.faces)
+        for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
+            if (found := len(getattr(part, name))) != expected:
+                raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
     return part
-
-
-def _check_lengths(part: Triangles, shape: str) -> None:
-    """Raise ValueError for arrays of a mesh that kernels would read beyond their ends."""
-    vertices, faces = len(part.vertices), len(part.faces)
-    for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
-        if (found := len(getattr(part, name))) != expected:
-            raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
 
 
 def largest_coordinate(prims: Any) -> float:
@@ -226,12 +221,10 @@ def _count_degenerate(corners: np.ndarray) -> int:
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     error = CROSS_RELATIVE_ERROR * np.abs(e).max(axis=1) * np.abs(f).max(axis=1) + CROSS_UNDERFLOW
     sure = np.abs(np.cross(e, f)).max(axis=1) > error
-    return repeated + sum(_is_degenerate(face) for face in corners[~sure])
-
-
-def _is_degenerate(face: np.ndarray) -> bool:
-    a, b, c = ([*map(Fraction, corner)] for corner in face.tolist())
-    return not any(cross(subtract(b, a), subtract(c, a)))
+    for face in corners[~sure].tolist():
+        a, b, c = ([*map(Fraction, corner)] for corner in face)
+        repeated += not any(cross(subtract(b, a), subtract(c, a)))
+    return repeated
 
 
 def in_words(scene: ShapeCollection) -> str:

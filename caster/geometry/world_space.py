@@ -149,21 +149,18 @@ def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: 
 
 
 class TriangleShape(Shape):
-    """Base of shapes that are made of triangles; flat unless a derived class says otherwise."""
+    """Base of shapes that are made of triangles, flat where the mesh has no normals."""
 
     def mesh(self) -> Mesh:
         """The mesh in object space."""
         raise NotImplementedError
 
-    def is_flat(self) -> bool:
-        """Whether normals are those of the faces."""
-        return True
-
     def without_uv(self) -> str:
         return "" if self.mesh().uv is not None else "its triangles have no uv"
 
     def pack(self, rounded: Rounding) -> Triangles:
-        return transform_mesh(self.mesh(), self.matrix, rounded, self.is_flat())
+        mesh = self.mesh()
+        return transform_mesh(mesh, self.matrix, rounded, face_normals=mesh.normals is None)
 
 
 class MeshShape(TriangleShape):
@@ -171,5 +168,5 @@ class MeshShape(TriangleShape):
 
     face_normals: Flag = False
 
-    def is_flat(self) -> bool:
-        return self.face_normals
+    def pack(self, rounded: Rounding) -> Triangles:
+        return transform_mesh(self.mesh(), self.matrix, rounded, self.face_normals)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from caster.aovs import AOVS, BY_NAME, needs_of
+from caster.aovs import AOVS, BY_NAME
 from caster.jit.decorators import implements
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere
 from caster.rendering.casting import Culling
@@ -50,7 +50,8 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
     trees = Step(shadows.runs, "shadow rays traverse them" if shadows.runs else "no ray needs one")
     if chosen == "bvh":
         trees = Step(True, "camera rays traverse them")
-    return Plan(chosen, reason, needs_of(aovs), *_surfaces(scene, aovs, shading), shading, shadows, trees)
+    needs = frozenset(field for name in aovs for field in BY_NAME[name].NEEDS)
+    return Plan(chosen, reason, needs, *_surfaces(scene, aovs, shading), shading, shadows, trees)
 
 
 def culling_for(camera: Any) -> tuple[Culling, str]:

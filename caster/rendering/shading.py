@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME, kernel_of
+from caster.aovs import BY_NAME, KERNELS
 from caster.geometry.packing import Packed
 from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays
@@ -137,7 +137,7 @@ class TileShader:
             yield command(add_ambient, ws.tile, BOX, ws.surface, self._ambient)
         for name, image in self.images.items():
             surface = UNUSED_SURFACE if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"} else ws.surface
-            yield command(write_aov, kernel_of(name), ws.tile, BOX, surface, self._ids, self.start, image)
+            yield command(write_aov, KERNELS[name], ws.tile, BOX, surface, self._ids, self.start, image)
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""

@@ -7,11 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS, Ray
-from caster.description import fields
 from caster.description.errors import (
     CROSS_ELEMENT_ERROR,
     PLURAL,
@@ -62,7 +70,7 @@ __all__ = [
 # ---- lights and materials ----
 
 
-class Point(fields.Light):
+class Point(Description):
     """An isotropic point light. `intensity` in power per solid angle (W/sr)."""
 
     type: Literal["point"] = "point"
@@ -73,7 +81,7 @@ class Point(fields.Light):
         return PointLight(self.position, self.intensity)
 
 
-class Directional(fields.Light):
+class Directional(Description):
     """Parallel light along `direction`; a perpendicular surface receives `irradiance` (W/m^2)."""
 
     type: Literal["directional"] = "directional"
@@ -85,7 +93,7 @@ class Directional(fields.Light):
         return DirectionalLight((0.0 - x, 0.0 - y, 0.0 - z), self.irradiance)
 
 
-class Ambient(fields.Light):
+class Ambient(Description):
     """Constant `radiance` from all directions (W/(m^2 sr)), without shadows."""
 
     type: Literal["ambient"] = "ambient"
@@ -139,7 +147,6 @@ class Glass(Specular):
 
 
 Material = Diffuse | Mirror | Glass
-MATERIALS = (Diffuse, Mirror, Glass)
 DEFAULT_MATERIAL = Diffuse()
 
 
@@ -217,11 +224,6 @@ def one_of(registry: Sequence[type[Description]]) -> Any:
     return Annotated[Union[tuple(registry)], Field(discriminator="type")]  # noqa: UP007 - a tuple has no |
 
 
-def _with_type(material: Any) -> Any:
-    """A material without a type is diffuse."""
-    return {"type": "diffuse", **material} if isinstance(material, Mapping) else material
-
-
 if TYPE_CHECKING:
     AnyShape: TypeAlias = Shape
     AnyCamera: TypeAlias = Camera
@@ -229,7 +231,10 @@ if TYPE_CHECKING:
     AnyMaterial: TypeAlias = Material
 else:
     AnyShape, AnyCamera, AnyLight = one_of(SHAPES), one_of(CAMERAS), one_of(LIGHTS)
-    AnyMaterial = Annotated[one_of(MATERIALS), BeforeValidator(_with_type)]
+    AnyMaterial = Annotated[
+        Annotated[Material, Field(discriminator="type")],
+        BeforeValidator(lambda value: {"type": "diffuse", **value} if isinstance(value, Mapping) else value),
+    ]
 
 
 class Scene(Description):
@@ -276,7 +281,9 @@ class Scene(Description):
         return (value,) if isinstance(value, Description) else value
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _fits_together(self, info: ValidationInfo) -> Self:
+        if info.context is not None:  # its MeshFolders
+            self._folder = info.context.folder.resolve()
         if found := self.problems_across(self):
             raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": found[0].message()})
         for i, (shape, texture) in enumerate(zip(self.shapes, self.textures, strict=True)):

@@ -3,14 +3,14 @@
 import io
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, PlainSerializer, Tag, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import AfterValidator, Discriminator, Tag
 
 from caster.description.errors import SceneError, child_of
-from caster.description.fields import ArrayOf, Description, FixedArray, Flag, Reflectance, Shape, Transform, matrix_of
+from caster.description.fields import ArrayOf, Description, Flag, Reflectance, Shape, Transform, exactly_one, matrix_of
 from caster.description.input_files import read_input
 from caster.description.transform import dot_rows, power
 from caster.geometry.mesh_files import load_once, readable
@@ -77,31 +77,14 @@ class Checkerboard(Picture):
         return np.array([[self.color0, self.color1], [self.color1, self.color0]])
 
 
-def _as_texels(value: Any, validated: ValidatorFunctionWrapHandler) -> NDArray[np.float64]:
-    """(h, w, 3) of an array or of rows of colors."""
-    if isinstance(value, np.ndarray):
-        right = value.dtype.kind == "f" and value.ndim == 3 and value.shape[2] == 3 and value.size
-        if not right or not (value.min() >= 0.0 and value.max() <= 1.0):
-            got = f"{value.dtype}{list(value.shape)}" + (f" from {value.min()} to {value.max()}" if right else "")
-            raise ValueError(f"must be an array (h, w, 3) of float numbers from 0 to 1, got {got}")
-        rows = value
-    else:
-        rows = validated(value)
-    if len(set(map(len, rows)) - {0}) != 1:
-        raise ValueError(f"must have rows of the same number of pixels, got {sorted(map(len, rows))}")
-    texels = np.array(rows, np.float64)
-    if texels.size > 3 * MAX_TEXELS:
-        raise ValueError(f"must have at most {MAX_TEXELS:,} pixels, got {texels.shape[1]} x {texels.shape[0]}")
-    texels.flags.writeable = False
-    return texels.view(FixedArray)
+def _few_enough(texels: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not 0 < texels.size <= 3 * MAX_TEXELS:
+        raise ValueError(f"must have 1 to {MAX_TEXELS:,} pixels, got {texels.shape[1]} x {texels.shape[0]}")
+    return texels
 
 
-if TYPE_CHECKING:
-    Texels = NDArray[np.float64]
-else:
-    Texels = Annotated[
-        tuple[tuple[Reflectance, ...], ...], WrapValidator(_as_texels), PlainSerializer(np.ndarray.tolist)
-    ]
+Rows = ArrayOf(list[Reflectance])
+Texels = Annotated[NDArray[np.float64], Rows, AfterValidator(_few_enough)]  # (h, w, 3) float64
 
 
 def read_picture(path: str) -> NDArray[np.uint8]:
@@ -133,11 +116,7 @@ class Bitmap(Picture):
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     raw: Flag = False
 
-    @model_validator(mode="after")
-    def _has_one_source(self) -> Self:
-        if (self.file is None) == (self.data is None):
-            raise ValueError(f"needs either file or data, got {'both' if self.file else 'neither'}")
-        return self
+    _has_one_source = exactly_one("file", "data")
 
     @cached_property
     def texels(self) -> NDArray[np.float64]:
@@ -170,11 +149,7 @@ class MeshColors(Texture):
     vertices: Colors | None = None
     faces: Colors | None = None
 
-    @model_validator(mode="after")
-    def _has_one_source(self) -> Self:
-        if (self.vertices is None) == (self.faces is None):
-            raise ValueError(f"needs either vertices or faces, got {'neither' if self.faces is None else 'both'}")
-        return self
+    _has_one_source = exactly_one("vertices", "faces")
 
     def misfit(self, shape: Shape) -> str:
         mesh = getattr(shape, "mesh", None)

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 
-from caster.description.fields import Number, Shape, UnitVec3, Vec3
+from caster.description.fields import Number, Shape, UnitVec3, Vec3, exactly_one
 from caster.description.transform import inverse, transform_points, transform_vectors
 from caster.geometry.triangle_mesh import normalize_rows
 from caster.geometry.world_space import Rounding
@@ -60,12 +59,7 @@ class Plane(Shape):
     offset: Number | None = None  # scene units
     point: Vec3 | None = None  # scene units
 
-    @model_validator(mode="after")
-    def _has_one_place(self) -> "Plane":
-        if (self.offset is None) == (self.point is None):
-            got = "both" if self.point else "neither"
-            raise ValueError(f"needs either offset or point, got {got}")
-        return self
+    _has_one_place = exactly_one("offset", "point")
 
     def without_uv(self) -> str:
         return "Mitsuba has no plane to compare it with"

@@ -267,7 +267,7 @@ ONE_LINERS = [
     (
         "a ragged bitmap",
         CAMERA + '[material.m]\nreflectance = { type = "bitmap", data = [[[0, 0, 0]], [[0, 0, 0], [1, 1, 1]]] }\n',
-        "6:34: materials.m: reflectance.data must have rows of the same number of pixels, got [1, 2]",
+        "6:34: materials.m: reflectance.data must have rows of the same length, got [1, 2]",
     ),
     (
         "a texture without uv",

@@ -114,33 +114,17 @@ def _joined(v: Floats, vt: Floats, vn: Floats, corners: NDArray[np.int64], trian
     if np.all(corners[:, 1:] < 0):
         return Mesh(v, by_position)
     used, vertex = np.unique(corners, axis=0, return_inverse=True)
-    return Mesh(
-        v[used[:, 0]],
-        vertex.ravel()[triangles].astype(np.int32),
-        _normals_of(used, vn, v, by_position),
-        _uv_of(used, vt),
-    )
-
-
-def _normals_of(used: NDArray[np.int64], normals: Floats, positions: Floats, faces: NDArray[np.int32]) -> Floats | None:
-    """The normals of the file; generated ones for corners without, if some have one."""
-    absent = used[:, 2] < 0
-    if absent.all():
-        return None
-    found = normals[used[:, 2]]
-    if absent.any():
-        found[absent] = vertex_normals(positions, faces)[used[absent, 0]]
-    return found
-
-
-def _uv_of(used: NDArray[np.int64], uv: Floats) -> Floats | None:
-    absent = used[:, 1] < 0
-    if absent.all():
-        return None
-    flipped = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)
-    found = flipped[used[:, 1]]
-    found[absent] = 0.0
-    return found
+    faces = vertex.ravel()[triangles].astype(np.int32)
+    without_uv, without_normal = used[:, 1:].T < 0
+    uv = normals = None
+    if not without_uv.all():
+        uv = np.stack([vt[:, 0], 1.0 - vt[:, 1]], axis=1)[used[:, 1]]
+        uv[without_uv] = 0.0
+    if not without_normal.all():
+        normals = vn[used[:, 2]]
+        if without_normal.any():
+            normals[without_normal] = vertex_normals(v, by_position)[used[without_normal, 0]]
+    return Mesh(v[used[:, 0]], faces, normals, uv)
 
 
 def read_numbers(words: list[bytes], place: str, kind: Callable[[bytes], Any] = float) -> list[Any]:
