@@ -7,7 +7,7 @@ numbers (inverses, normals) are float64 in both cases.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,19 +19,7 @@ from caster.kernels.triangles import Triangles
 __all__ = ["LARGEST_COORDINATE", "Rounding", "TriangleShape", "as_float32", "as_given", "is_usable", "world_vertices"]
 
 Rounding = Callable[[np.ndarray], np.ndarray]
-
-
-class ShapeCollection(Protocol):
-    """The part of a scene that packing reads."""
-
-    @property
-    def shapes(self) -> tuple[Shape, ...]: ...
-
-    @property
-    def derived(self) -> dict[str, Any]: ...
-
-    def shape_names(self) -> list[str]: ...
-
+AnyScene: TypeAlias = Any  # a caster.scene.model.Scene, which is declared by means of this package
 
 # A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about
 # 12 * 8 u of their length, u = 2^-53; intended non-uniform scales are far larger.

@@ -274,12 +274,6 @@ class Scene(Description):
             checks: Mapping[str, Check] = ...,
         ) -> None: ...
 
-    @field_validator("lights", "shapes", mode="before")
-    @classmethod
-    def _listed(cls, value: Any) -> Any:
-        """A list; in Python, a single shape or light will do."""
-        return (value,) if isinstance(value, Description) else value
-
     @model_validator(mode="after")
     def _fits_together(self, info: ValidationInfo) -> Self:
         if info.context is not None:  # its MeshFolders

@@ -186,12 +186,9 @@ class Png(NamedTuple):
     raw: bool
 
 
-def linear_of_srgb(value: float) -> float:
-    """An sRGB value from 0 to 1 as a linear one. Source: IEC 61966-2-1."""
-    return value / 12.92 if value <= 0.04045 else power((value + 0.055) / 1.055, 2.4)
-
-
-LINEAR_OF_SRGB = np.array([linear_of_srgb(byte / 255.0) for byte in range(256)])
+# The linear value of each sRGB byte. Source: IEC 61966-2-1.
+SRGB = [byte / 255.0 for byte in range(256)]
+LINEAR_OF_SRGB = np.array([x / 12.92 if x <= 0.04045 else power((x + 0.055) / 1.055, 2.4) for x in SRGB])
 
 
 if TYPE_CHECKING:
