@@ -92,7 +92,13 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
     vertices, faces = _collapse_rejected(vertices, faces)
     normals = np.zeros((len(vertices), 3))
     if not face_normals:
-        normals = rounded(_world_normals(mesh, matrix, vertices, faces))
+        if mesh.normals is None:
+            normals = vertex_normals(vertices, faces)
+        else:
+            normals = transform_vectors(inverse(matrix[:3, :3]).T, mesh.normals)
+            length = row_lengths(normals)[:, None]
+            np.divide(normals, length, out=normals, where=length > 0.0)
+        normals = rounded(normals)
     uv = np.zeros((len(vertices), 2)) if mesh.uv is None else rounded(mesh.uv)
     return Triangles(
         np.ascontiguousarray(vertices, np.float64),
@@ -125,15 +131,6 @@ def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     replacement = vertices[place] if usable[place] else np.zeros(3)
     kept = usable[faces].all(axis=1, keepdims=True)
     return np.where(usable[:, None], vertices, replacement), np.where(kept, faces, place)
-
-
-def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    if mesh.normals is None:
-        return vertex_normals(vertices, faces)
-    turned = transform_vectors(inverse(matrix[:3, :3]).T, mesh.normals)
-    length = row_lengths(turned)[:, None]
-    unit: np.ndarray = np.divide(turned, length, out=turned, where=length > 0.0)
-    return unit
 
 
 class TriangleShape(Shape):

@@ -3,7 +3,7 @@
 import io
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,8 +125,8 @@ class Bitmap(Picture):
         picture = load_once(read_picture, self.file)
         return picture / 255.0 if self.raw else LINEAR_OF_SRGB[picture]
 
-    def as_png(self) -> "Png | None":
-        """A PNG file with 8 bits a channel of the same texels, up to float32; None where none has them."""
+    def as_png(self) -> tuple[bytes, bool] | None:
+        """(a PNG file with 8 bits a channel of the same texels, up to float32; whether it is raw), if there is one."""
         from PIL import Image  # deferred: most scenes have no picture
 
         for raw, levels in ((False, LINEAR_OF_SRGB), (True, np.arange(256) / 255.0)):
@@ -135,7 +135,7 @@ class Bitmap(Picture):
             if np.abs(levels[bytes_of] - self.texels).max() <= FLOAT32_DECODING:
                 content = io.BytesIO()
                 Image.fromarray(bytes_of.astype(np.uint8)).save(content, "PNG")
-                return Png(content.getvalue(), raw)
+                return content.getvalue(), raw
         return None
 
 
@@ -177,13 +177,6 @@ class MeshColors(Texture):
         changes = (colors[:, 1:] - colors[:, :1]).transpose(1, 0, 2)
         gradients = (changes[..., None] * duals[..., None, :]).sum(axis=0)
         return np.concatenate([a[:, None], colors[:, :1], gradients], axis=1).reshape(-1, 3)
-
-
-class Png(NamedTuple):
-    """A PNG file, and whether its numbers are linear."""
-
-    content: bytes
-    raw: bool
 
 
 # The linear value of each sRGB byte. Source: IEC 61966-2-1.
