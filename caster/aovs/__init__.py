@@ -82,23 +82,18 @@ def register(aov: Aov) -> None:
         raise ValueError(f"aov {aov.NAME!r}: needs {sorted(unknown)}; known are {', '.join(NEEDED_FIELDS)}")
     if aov.DTYPE not in (np.float64, np.int32) or not aov.CHANNELS:
         raise ValueError(f"aov {aov.NAME!r}: DTYPE must be float64 or int32, and CHANNELS not empty")
-    KERNELS[aov.NAME] = _kernel(aov)
-    AOVS.append(aov)
-    BY_NAME[aov.NAME] = aov
-
-
-def _kernel(aov: Aov) -> Any:
-    """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
-    name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
-    tag: Any = type(name, (PerHit,), {"__module__": aov.evaluate.__module__})
+    # compiled kernels are keyed by the classes of their arguments, so each AOV gets a class
+    tag: Any = type(f"PerHit_{aov.NAME}", (PerHit,), {"__module__": aov.evaluate.__module__})
     evaluate = inlined(aov.evaluate)
 
+    @implement(per_hit, tag)
     def body(aov: Any, hit: Any) -> Any:
         return evaluate(hit)
 
-    implement(per_hit, tag)(body)
-    miss = number(aov.MISS)
-    return tag(miss, (miss,) * len(aov.CHANNELS))
+    miss = int(aov.MISS) if aov.DTYPE is np.int32 else float(aov.MISS)
+    KERNELS[aov.NAME] = tag(miss, (miss,) * len(aov.CHANNELS))
+    AOVS.append(aov)
+    BY_NAME[aov.NAME] = aov
 
 
 # ---- the AOVs ----

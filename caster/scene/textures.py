@@ -54,10 +54,6 @@ class Picture(Texture):
     to_uv: Transform = ()
 
     @cached_property
-    def texels(self) -> NDArray[np.float64]:
-        raise NotImplementedError
-
-    @cached_property
     def uv_matrix(self) -> NDArray[np.float64]:
         """(2, 3): uv of the texture are its product with (u, v, 1)."""
         return matrix_of(self.to_uv)[:2, [0, 1, 3]]
