@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from caster.description.errors import SceneError
 from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans, vertex_normals
 
-LEAST = {b"v": 3, b"vt": 1, b"vn": 3}  # numbers that a statement needs
-
 # Statements without triangles. An unknown keyword is an error: it may be a misspelt face.
 WITHOUT_TRIANGLES = frozenset(
     b"vp p l o g s mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj ctech "
@@ -71,11 +69,12 @@ def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 def _numbers(words: list[bytes], place: str) -> list[float]:
     """The numbers of a statement v, vt or vn, as many as are kept."""
-    keyword, least = words[0].decode(), LEAST[words[0]]
+    keyword = words[0].decode()
+    least = 1 if keyword == "vt" else 3
     numbers = read_numbers(words[1:], place)
     if len(numbers) < least:
         raise SceneError(f"{place}: {keyword} needs {least} numbers, got {len(numbers)}")
-    row = [*numbers, 0.0][:2] if keyword == "vt" else numbers[:3]  # vt may have one number
+    row = [*numbers, 0.0][:2] if keyword == "vt" else numbers[:3]
     if keyword != "v" and not all(map(math.isfinite, row)):  # faces with such a vertex are rejected later
         raise SceneError(f"{place}: {keyword} must be finite numbers, got {format_row(row)}")
     return row
