@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME, kernel_of, needs_of
+from caster.aovs import BY_NAME, KERNELS
 from caster.geometry.packing import Packed
 from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays
@@ -63,7 +63,7 @@ class TileShader:
         self, scene: Scene, packed: Packed, images: Mapping[str, np.ndarray], *, of_rays: bool = False
     ) -> None:
         self.images, self._packed, self._of_rays = images, packed, of_rays
-        needs = needs_of(images)
+        needs = {field for name in images for field in BY_NAME[name].NEEDS}
         self._ids = NO_IDS
         if packed.kinds and needs & {"shape_id", "prim_id"}:
             self._ids = PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
@@ -124,7 +124,7 @@ class TileShader:
         if len(self._ambient):
             yield command(add_ambient, ws.tile, BOX, ws.surface, self._ambient)
         for name, image in self.images.items():
-            yield command(write_aov, kernel_of(name), ws.tile, BOX, ws.surface, self._ids, self._of_rays, image)
+            yield command(write_aov, KERNELS[name], ws.tile, BOX, ws.surface, self._ids, self._of_rays, image)
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""

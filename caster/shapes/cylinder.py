@@ -94,17 +94,15 @@ class Cylinder(Shape):
 
     def pack(self, rounded: Rounding) -> Cylinders:
         center = transform_points(self.matrix, np.array([self.p0]))[0]
-        return Cylinders(*affine_arrays(center, product(self.matrix[:3, :3], self._own_axes()), rounded))
-
-    def _own_axes(self) -> np.ndarray:
-        """Columns: two radii perpendicular to the axis, and the axis; right-handed."""
         axis = np.subtract(self.p1, self.p0)
         along = normalize_rows(axis[None])[0]
         if along[0] == along[1] == 0.0 and along[2] > 0.0:
             first = np.array([1.0, 0.0, 0.0])
         else:
             first = normalize_rows(np.cross(np.eye(3)[np.argmin(np.abs(along))], along)[None])[0]
-        return np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
+        # two radii perpendicular to the axis, and the axis; right-handed
+        own = np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
+        return Cylinders(*affine_arrays(center, product(self.matrix[:3, :3], own), rounded))
 
 
 @implement(load, Cylinders)

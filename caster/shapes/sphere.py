@@ -7,7 +7,17 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
+from caster.description.fields import (
+    Flag,
+    Lengths,
+    LengthTriples,
+    Points,
+    Positive,
+    Quaternions,
+    Shape,
+    Vec3,
+    exactly_one,
+)
 from caster.description.transform import inverse, rotations, transform_points, transform_vectors
 from caster.geometry.mesh_files import load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
@@ -136,12 +146,12 @@ class SphereCloud(Shape):
     radius: Positive | None = None  # scene units
     file: Annotated[str | None, readable(load_points)] = None
 
+    _has_one_source = exactly_one("file", "centers")
+
     @model_validator(mode="after")
-    def _has_one_source(self) -> "SphereCloud":
-        if (self.file is None) == (self.centers is None):
-            raise ValueError(f"needs either file or centers, got {'both' if self.file else 'neither'}")
-        if self.radii is not None and (self.centers is None or len(self.radii) != len(self.centers)):
-            count = 0 if self.centers is None else len(self.centers)
+    def _has_radii_once(self) -> "SphereCloud":
+        count = 0 if self.centers is None else len(self.centers)
+        if self.radii is not None and len(self.radii) != count:
             raise ValueError(f"needs as many radii as centers, got {len(self.radii)} radii and {count} centers")
         if self.radius is not None and self._given()[1] is not None:
             raise ValueError("needs either radius or radii, its own or its file's, got both")

@@ -113,7 +113,7 @@ def _cast_as_judged(scene: Scene) -> None:
 # ---- memory that judging a film needs ----
 
 # Growth of the largest resident size of `validate` from 512 x 512 to 1024 x 1024 pixels, by the pixels: rays, answers
-# of both sides, bounds and classes, in float64. 1040 bytes (parabolic), 1280 (cornell-box), 1430 (every-shape) and 1440
+# of both sides, bounds and classes, in float64. 1280 bytes (cornell-box), 1430 (every-shape) and 1440
 # (one-sphere) with one or two lights, 2020 with four (lights-and-shadows).
 BYTES_PER_PIXEL, BYTES_PER_PIXEL_AND_LIGHT, LIGHTS_WITHIN = 1450, 290, 2
 

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 from same_bits import assert_same_bits
 
-from caster.cameras import Fisheye, Panorama, Parabolic
+from caster.cameras import Fisheye, Panorama
 from caster.rendering.images import render
 from caster.scene.model import Scene
 
-BENDING = (Fisheye, Panorama, Parabolic)
+BENDING = (Fisheye, Panorama)
 AHEAD: dict[str, Any] = {"eye": (0.0, 0.0, 0.0), "direction": (0.0, 0.0, 1.0), "up": (0.0, 1.0, 0.0)}
 FILM = {"width": 128, "height": 128}
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, Pinhole, Plane, Scene, Sphere
+from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
 from caster.cameras import Ray
 from caster.cli.inspection import account
@@ -33,7 +33,7 @@ def told(a_scene, *aovs, **how):
     return account(render_film(a_scene, aovs, **how), aovs)
 
 
-@pytest.mark.parametrize("camera", [Fisheye, Panorama, Parabolic])
+@pytest.mark.parametrize("camera", [Fisheye, Panorama])
 def test_cameras_that_bend_lines_grow_no_tree_either(camera):
     what = told(scene(camera), "depth", "normal")
     assert what["culling"] == "raster" and not any(kind["nodes"] for kind in what["primitives"])

@@ -42,11 +42,6 @@ def test_a_directional_light_is_the_same_everywhere_and_never_ends():
     assert light_at(slanting, POINTS[0])[0] == pytest.approx((-2 / 7, 3 / 7, 6 / 7), rel=1e-15)
 
 
-def test_ambient_light_has_no_direction():
-    with pytest.raises(NotImplementedError, match="no direction"):
-        Ambient(radiance=[1, 1, 1]).pack()
-
-
 SUN = Directional(direction=[0, -1, 0], irradiance=[1, 2, 4]).pack()
 UP, DOWN, SLANTED = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.8, 0.0)
 

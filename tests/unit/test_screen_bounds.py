@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from triangle_soup import triangle_soup
 
-from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, pinhole
+from caster.cameras import Fisheye, Orthographic, Panorama, Pinhole, pinhole
 from caster.jit.simd import LANES
 from caster.kernels.protocol import (
     camera_ray,
@@ -36,7 +36,6 @@ CAMERAS = {
     "wide fisheye": Fisheye(fov=360.0, **POSE),
     "narrow fisheye": Fisheye(fov=30.0, **POSE),
     "panorama": Panorama(**POSE),
-    "parabolic": Parabolic(**POSE),
 }
 BOUND_MARGIN_PIXELS = 2.0**-10  # pixels, as in screen_bounds.py: what roundings may take
 COUNT = 400
@@ -101,7 +100,7 @@ def test_the_box_of_a_sphere_allows_for_the_rounding_of_angles():
     assert hits > COUNT // 8
 
 
-@pytest.mark.parametrize("name", ["fisheye", "narrow fisheye", "parabolic"])
+@pytest.mark.parametrize("name", ["fisheye", "narrow fisheye"])
 def test_spheres_that_no_ray_hits_are_nowhere(name):
     camera = CAMERAS[name].pack(WIDTH, HEIGHT)
     behind = np.array(camera.eye) - 5.0 * np.array(camera.forward)
@@ -109,7 +108,7 @@ def test_spheres_that_no_ray_hits_are_nowhere(name):
     assert valid and left > right and top > bottom
 
 
-@pytest.mark.parametrize("name", ["fisheye", "panorama", "parabolic"])
+@pytest.mark.parametrize("name", ["fisheye", "panorama"])
 @pytest.mark.parametrize("size", [1e-200, 1e-130, 1e130, 1e200, math.inf])
 def test_where_nothing_is_known_nothing_is_stated(name, size):
     """Sizes without squares, an eye in the ball, a ball without an end."""
@@ -149,7 +148,7 @@ def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
 
 
 FINE = 10  # pixels are so much smaller, so that BOUND_MARGIN_PIXELS is little beside what is measured
-BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "panorama", "parabolic")
+BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "panorama")
 
 
 @pytest.mark.parametrize("name", BENDING)
