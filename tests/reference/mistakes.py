@@ -436,7 +436,7 @@ DEFECTS = [
         "sphere around",
         "where the ray's number is 3 modulo 5",
     ),
-    Mistake("epsilon too large", edited(determinant_epsilon=5.0), "torus-smooth", "hit along directions 2^40 times"),
+    Mistake("epsilon too large", edited(determinant_epsilon=5.0), "torus-smooth", "hit with d scaled by 2^40"),
     Mistake("one side hit", edited(seen=lambda self, det: det > 0), "one-triangle", "hit from the other side"),
     Mistake("near hits lost", edited(t_min=20.0), "torus-smooth", "hit from 1000 times as far"),
     Mistake("far hits lost", answering(without_far_hits), "torus-smooth", "hit from 1000 times as near"),
@@ -444,7 +444,7 @@ DEFECTS = [
         "d along an axis",
         answering(lambda s, o, d, t, n: (np.where((d == 0.0).any(axis=1), np.inf, t), n)),
         "from above",
-        "hit along directions turned by 20 degrees",
+        "hit with d turned by 20 degrees",
     ),
     Mistake(
         "too many rays",
