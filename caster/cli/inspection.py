@@ -107,7 +107,7 @@ def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
         "culling": done["culling"],
         **{kind["kind"]: f"{kind['count']}, of which {kind['looked_for']} may be on the film" for kind in kinds},
         **{f"BVH of {kind['kind']}": f"{kind['nodes']} nodes" for kind in kinds if kind["nodes"]},
-        "never hit": ", ".join(f"{count} {what}" for what, count in done["never_hit"].items()) or "none",
+        "never hit": ", ".join(f"{count} faces of {name}" for name, count in done["never_hit"].items()) or "none",
         "decided exactly": f"{done['decided_exactly']} rays",
         "surfaces": f"{' '.join(surfaces['worked_out']) or 'nothing'} of {surfaces['hits']} hits",
         "shadow rays": done["shadow_rays"],

@@ -88,5 +88,5 @@ def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
     assert main(["check", "s.toml"]) == 0
     assert words in capsys.readouterr().out
     assert main(["render", "s.toml", "-o", "s.exr", "--explain"]) == 0
-    assert "never hit        shape-0 2\n" in capsys.readouterr().out
+    assert "never hit            2 faces of shape-0\n" in capsys.readouterr().out
     assert caster.read_exr("s.exr").provenance["caster/faces_never_hit"] == words
