@@ -153,7 +153,7 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], size: int, alt
         ready = write_scene(scene, Path(folder), size)
         runs = [CasterRun(each, size, row={"why": each.missing()}) for each in casters]
         try:
-            report_stage("starting the casters, which compile once")
+            report_stage("starting the casters")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
                 if not run.row["why"]:
                     run.process = start_process(run.caster, folder, scene)
