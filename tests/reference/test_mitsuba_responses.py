@@ -1,12 +1,11 @@
 """Responses of the child process equal Mitsuba's own results: ids, hits, light and sensor rays."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, shape, sun, write
+from programs import printed_by
 
 import caster
 import mitsuba_ref
@@ -131,8 +130,7 @@ np.save(sys.argv[2], np.column_stack(columns))
 
 @pytest.mark.parametrize("variant", HERE[:1])
 def test_uv_of_a_cube_grow_along_the_axes_of_mitsubas_own(tmp_path, variant):
-    command = [sys.executable, "-c", CUBE, variant, tmp_path / "cube.npy"]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    printed_by("-c", CUBE, variant, tmp_path / "cube.npy")
     found = {tuple(row[:6]): tuple(row[6:]) for row in np.load(tmp_path / "cube.npy").tolist()}
     mesh = caster.Cube().mesh()
     sides = np.repeat(np.round(mesh.vertices.reshape(6, 4, 3).mean(axis=1)), 4, axis=0)
@@ -152,8 +150,7 @@ BEHIND = (  # a wall behind the point light, and behind the camera: it shadows n
 @pytest.mark.parametrize("variant", HERE)
 def test_light_times_its_visibility_is_what_the_direct_integrator_renders(tmp_path, variant, light):
     xml = write(tmp_path, LIT + light)
-    command = [sys.executable, "-c", RENDER, variant, xml, tmp_path / "direct.npy"]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    printed_by("-c", RENDER, variant, xml, tmp_path / "direct.npy")
     rendered = np.load(tmp_path / "direct.npy").reshape(-1, 3)
     sensor = asked(xml, variant, [], [], sensor=True)
     answer = mitsuba_process.send_request(
@@ -171,7 +168,7 @@ def test_spheres_of_one_shape_answer_as_its_primitives(variant, stretch):
     """Each sphere is one Mitsuba shape with a numbered id; names may have special characters of XML and of formats."""
     rng = np.random.default_rng(4)
     placed = {"to_world": {"scale": [1, stretch, 1]}}
-    names = ("a{1}", 'b "&<%d>', "c$x", "a", "shapes[0]{")
+    names = ("a{1}", 'b "&<%d>', "$x", "a.b$", "Kugel, groß[0]{")
     centers = np.array([[x, y, 0.0] for x in range(-2, 3) for y in range(-2, 3)]) + rng.uniform(-0.1, 0.1, (25, 3))
     order = rng.permutation(25).reshape(5, 5)
     shapes = [

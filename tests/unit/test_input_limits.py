@@ -1,10 +1,9 @@
 """Inputs that would block, never end or need more memory than they hold are refused."""
 
 import os
-import subprocess
-import sys
 
 import pytest
+from programs import python
 
 from caster.description import errors, parsing
 from caster.description.errors import FileMissing, SceneError
@@ -100,7 +99,5 @@ def test_nothing_is_allocated_for_rows_that_the_file_cannot_hold(tmp_path, encod
         "import resource, sys; from caster.geometry.mesh_files import load_mesh\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30)); load_mesh(sys.argv[1])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a.ply")], capture_output=True, text=True, timeout=60
-    )
+    done = python("-c", code, tmp_path / "a.ply")
     assert done.returncode == 1 and "SceneError" in done.stderr and str(tmp_path) in done.stderr.splitlines()[-1]

@@ -1,13 +1,10 @@
 """Steps that a scene does not need are skipped, as the account of its work shows."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from places import ROOT
+from programs import printed_by
 
 from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
@@ -130,10 +127,8 @@ type = "sphere"
 @pytest.mark.skipif(not COMPILED, reason="without Numba there are no compiled kernels to count")
 def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tmp_path):
     (tmp_path / "s.toml").write_text(LONELY)
-    command = [sys.executable, "-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-    kernels = json.loads(run.stdout)["kernels"]
+    command = ["-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
+    kernels = json.loads(printed_by(*command, cwd=tmp_path))["kernels"]
     used = [*kernels["compiled"], *kernels["loaded"]]
     assert any("Spheres" in name for name in used)
     others = ["Triangles", "Ellipsoids", "Cylinders", "Disks", "Planes", "Tree", "Light", "Orthographic", "Fisheye"]
@@ -170,7 +165,5 @@ print(machine_code.is_supported(), len(kernels) > 100 and slowly)
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 def test_no_kernel_of_a_render_or_a_cast_needs_numba_to_be_called():
     """Regression: for a flag among the arguments Numba was loaded, and each call took 0.13 ms."""
-    done = subprocess.run([sys.executable, "-c", EVERYTHING_ASKED], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    usable, _, slowly = done.stdout.strip().partition(" ")
+    usable, _, slowly = printed_by("-c", EVERYTHING_ASKED).strip().partition(" ")
     assert slowly == "[]" or usable == "False"

@@ -4,16 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from places import scene_of
 from triangle_soup import triangle_soup
 
 from caster import cast
 from caster.cameras import CAMERAS
-from caster.description.fields import Shape
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
 from caster.kernels.raster.screen_bounds import edge_line, is_beyond
-from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Sphere, Triangle
 
 ALONG_AXES = [{"scale": [1.0, 2.0, 0.5]}, {"translate": [0.3, -0.7, 5.0]}]  # so that boxes touch what they hold
@@ -27,12 +26,6 @@ CONVEX = {
     "triangle": Triangle(vertices=((0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (0.0, 1.0, 2.0))),
 }
 HITS = 1500
-
-
-def scene_of(shape: Shape) -> Scene:
-    return Scene(
-        film={"width": 8, "height": 6}, camera=CAMERAS[0](eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0)), shapes=[shape]
-    )
 
 
 @pytest.mark.parametrize("name", CONVEX)
