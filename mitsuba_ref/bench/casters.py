@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref.bench.drivers import AOVS, DEFAULT, FILM, NEAREST, ROBUST
+from mitsuba_ref.bench.drivers import DEFAULT, FILM, NEAREST, ROBUST
 from mitsuba_ref.bench.result import CANDIDATE_ROW, REFERENCE_ROW
-from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import variants
 
 
@@ -51,12 +50,6 @@ CASTERS = (
     ),
 )
 BY_KEY = {caster.key: caster for caster in CASTERS}
-
-
-def casters_for(scene: BenchScene, candidate: TimedCaster | None = None) -> list[TimedCaster]:
-    """The casters of a scene's workload; a candidate gives depth and normal alone."""
-    casters = [each for each in CASTERS if scene.workload in each.workloads]
-    return casters + ([candidate] if candidate and scene.aovs == AOVS else [])
 
 
 def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:

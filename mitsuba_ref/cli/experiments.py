@@ -219,8 +219,10 @@ SCENE_SECONDS = 3600.0  # a limit of the time for one scene on a cluster
 def time_on_worker(
     scene: BenchScene, caster: casters.TimedCaster | None, settings: dict[str, int]
 ) -> tuple[dict[str, str], SceneResult]:
-    """The properties of this machine, and the times of a scene."""
-    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), **settings)
+    """The properties of this machine, and the times of a scene; a candidate gives depth and normal alone."""
+    timed = [each for each in casters.CASTERS if scene.workload in each.workloads]
+    timed += [caster] if caster and scene.aovs == AOVS else []
+    return machine_properties(), time_scene(scene, timed, **settings)
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
