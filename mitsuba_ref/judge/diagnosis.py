@@ -22,7 +22,7 @@ from mitsuba_ref.error_model.tolerances import (
     SEPARATOR_CHANCE,
 )
 from mitsuba_ref.judge.adjudication import named_prims, sample_rows
-from mitsuba_ref.judge.checks.ray_conventions import marked_misses
+from mitsuba_ref.judge.checks.ray_conventions import CastRays, marked_misses
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
@@ -76,8 +76,6 @@ def failing_rows(judgement: Judgement) -> Array:
     return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
 
 
-# (o, d) (m, 3) -> (the subject's t, the right t) along further rays; None: it gave no answer
-CastRays = Callable[[Array, Array], tuple[Array, Array] | None]
 Table = Callable[[WrongPixels], Iterator[Mistake]]
 Describe = Callable[[WrongPixels], Iterator[tuple[str, Array]]]  # (description, (m,) bool: its pixels)
 

@@ -1,6 +1,6 @@
 """Conventions that a camera's rays do not show: directions of other lengths, mirrored rays, limits of t."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,6 @@ from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_
 from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Found, check
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
-from mitsuba_ref.judge.diagnosis import CastRays
 from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import OURS, CastRequest, NoAnswer, Subject
 
@@ -71,6 +70,10 @@ def marked_misses(t: Array) -> str:
     """A sentence about t (m,) along rays that hit nothing, if all are one number other than inf."""
     marked = len(t) > 1 and not np.isposinf(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0, equal_nan=True)
     return f"t is {t[0]:.7g} where nothing is hit; a miss has t inf" if marked else ""
+
+
+# (o, d) (m, 3) -> (the subject's t, the right t) along further rays; None: it gave no answer
+CastRays = Callable[[Array, Array], tuple[Array, Array] | None]
 
 
 def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
