@@ -26,7 +26,7 @@ from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import further_rays
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import Cause, diagnose, sentence_by_row
-from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import AGREE, EXCUSED, FAILING, TIE, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.originals import original_of
@@ -150,7 +150,7 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
         "loaded": judge.result.answer.meshes,
         "failing": bool(judgement.is_class(*FAILING).any()),
         "judge": judge,
-        "biases": tuple(kind_biases(judge)) if task.ours else (),
+        "biases": tuple(kind_biases(judge, judgement.is_class(*EXCUSED))) if task.ours else (),
     }
     if not task.ours:
         made = make_checks(of_scene, inputs)

@@ -74,7 +74,7 @@ class Asked:
         answer = answer_of_view(self.scene, self.view)
         answer = replace(answer, t=answer.t * (1.0 + share))
         pair = pair_images(self.scene, self.rays, answer, witness or self.witness)
-        return kind_biases(Judge(self.scene, self.model, pair))
+        return biases(Judge(self.scene, self.model, pair))
 
     @cached_property
     def view(self) -> RayHits:
@@ -90,6 +90,11 @@ class Asked:
         return cast_ours(self.scene, shared_rays(self.scene.model_copy(update={"camera": moved})))
 
 
+def biases(judge: Judge) -> list[KindBias]:
+    """Of all pixels: exact arithmetic, which excuses some, is left out here."""
+    return kind_biases(judge, np.zeros(len(judge.hit), bool))
+
+
 def beyond(judge: Judge) -> np.ndarray:
     """(hits,) bool: whether t is beyond its bound, where both hit."""
     found: np.ndarray = check_ratios(judge)["depth"][judge.both_hit] > 1.0
@@ -97,7 +102,7 @@ def beyond(judge: Judge) -> np.ndarray:
 
 
 def errors(asked: Asked, view: RayHits) -> list[KindBias]:
-    return kind_biases(asked.judge(view))
+    return biases(asked.judge(view))
 
 
 def z_of(found: list[KindBias]) -> float:
@@ -221,7 +226,7 @@ def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, sha
         prims.vertices[:] += share * (eye - prims.vertices)
 
     judge = asked.judge(asked.altered(pull))
-    found = kind_biases(judge)
+    found = biases(judge)
     print(f"\nmesh nearer by {share:g}: z {z_of(found):.1f} of {found}")
     assert [bias.enough_groups for bias in found] == [True]
     assert check_bias(found).ok is not biased and (z_of(found) > 2.0 * LARGEST_Z) is biased
