@@ -152,7 +152,7 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], settings: Sett
             if scene.aovs == AOVS:
                 report_stage("exact answers")
                 rows = sampled_rows(len(ready.o))
-                exact = ExactHits(ready, ready.o[rows], ready.d[rows])
+                exact = ExactHits(ready.model, ready.o[rows], ready.d[rows])
                 for run in runs:
                     run.go(CasterRun.measure_errors, exact, rows)
         finally:
@@ -161,4 +161,5 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], settings: Sett
                     run.process.close()
     found = tuple(run.result() for run in runs)
     elapsed = time.perf_counter() - begun
-    return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, found, elapsed, scene.aovs)
+    primitives = int(ready.model.packed.first[-1])
+    return SceneResult(scene.name, scene.title, scene.workload, primitives, found, elapsed, scene.aovs)

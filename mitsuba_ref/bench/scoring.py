@@ -10,6 +10,7 @@ from mitsuba_ref.bench.drivers import DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, Rays
 from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.error_model.scene_model import Side
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.report.results import largest
@@ -47,7 +48,7 @@ def sampled_rows(count: int) -> Array:
 def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False) -> Score:
     """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
     answer = Answer(t, None, precision, {})
-    ratio, hits = exact.ratios(answer, ours=not reference), answer.hit & exact.hit
+    ratio, hits = exact.ratios(answer, Side(answer.ku, own=not reference)), answer.hit & exact.hit
     spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
     return Score(
         rays=len(t),

@@ -16,7 +16,8 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
-from mitsuba_ref.error_model.intersections import Array, Intersections, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.scene_model import OUR_SIDE
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -83,7 +84,8 @@ class WrongPixels:
     @cached_property
     def roots(self) -> RayIntersections:
         """All intersections of the lines, before and behind the origins; `ray` is the place here."""
-        return self.judge.bracket.possible_hits(self.o, self.d, self.judge.t_max[self.rows], -np.inf)
+        lines = self.judge.lines.take(self.rows)
+        return self.judge.bracket.possible_hits(lines._replace(t_min=np.full(len(self.rows), -np.inf)))
 
     @cached_property
     def columns(self) -> list[tuple[str, Array, Callable[[Array], Array]]]:
@@ -248,7 +250,7 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     described = described_model(f.judge.scene) if f.judge.pair.rays.is_list and answer.precision == FLOAT64 else None
 
     def of_described(g: WrongPixels) -> Array:
-        at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, KU_OURS, ours=True)
+        at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, OUR_SIDE)
         return g.right_under(g.hit, at.t, at.t_error) & g.hit
 
     def of_points(g: WrongPixels) -> Array:
@@ -380,7 +382,8 @@ def _recast(what: str, remedy: str, lines: Lines) -> Mistake:
     """The first hits along other rays."""
 
     def predicts(g: WrongPixels) -> Array:
-        return _right_among(g, g.judge.bracket.possible_hits(*lines(g), g.judge.t_max[g.rows]))
+        along = Rays(*lines(g), np.zeros(len(g.rows)), g.judge.t_max[g.rows])
+        return _right_among(g, g.judge.bracket.possible_hits(along))
 
     return Mistake(what, remedy, predicts, IMAGE, elsewhere=True)
 

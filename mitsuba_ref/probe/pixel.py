@@ -76,7 +76,7 @@ def probe_with_evidence(
         x=x,
         y=y,
         ray=_ray(pair.rays),
-        ours=_answer(scene, pair.subject, pair.t),
+        ours=_answer(scene, pair.subject, judge.answer.t),
         reference=_answer(scene, pair.reference, pair.result.t),
         exact=_exact(judge, exact),
         ratios={name: float(share) for name, (share,) in judgement.ratios.items() if share != 0.0 or agrees},

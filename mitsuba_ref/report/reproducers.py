@@ -15,6 +15,7 @@ from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from caster.scene.textures import MeshColors
 from caster.system.atomic_files import write_text
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
@@ -73,18 +74,20 @@ def has_other_light(judgement: Judgement, row: int) -> bool:
 
 def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     """Numbers of the primitives that may be hit in float32, are hit exactly, or are named by either side."""
-    o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
-    found = set(judge.reference_bracket.possible_hits(o, d, t_max).prim.tolist())
-    for answer in judge.oracle.first_hits(o, d, judge.t_min[row : row + 1], t_max):
+    line = judge.lines.take([row])
+    possible = [line._replace(t_min=np.zeros(1))]
+    found: set[int] = set()
+    for answer in judge.oracle.first_hits(*line):
         found |= set(answer.prims.tolist())
     found |= {int(judge.pair.prim[row]), int(judge.reference_prim[row])}
     if lit and judge.pair.prim[row] >= 0:
         for light in judge.scene.lights:
             if light.type != "ambient":
-                to_light, reach = direction_to_light(light, judge.point[row : row + 1])
-                found |= set(
-                    judge.reference_bracket.possible_hits(judge.point[row : row + 1], to_light, reach).prim.tolist()
-                )
+                point = judge.point[row : row + 1]
+                to_light, reach = direction_to_light(light, point)
+                possible.append(Rays(point, to_light, np.zeros(1), reach))
+    for each in possible:
+        found |= set(judge.reference_bracket.possible_hits(each).prim.tolist())
     return found - {-1}
 
 

@@ -9,8 +9,7 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, SceneModel
 from mitsuba_ref.oracle import boxes
 from mitsuba_ref.oracle.boxes import BRANCHING_FACTOR, BoxTree
 from mitsuba_ref.oracle.oracle import BOX_MARGIN
@@ -101,7 +100,7 @@ def test_every_possible_hit_ahead_is_near(kind):
         model, o, d = crowd(kind, [110, number], setting, 150)
         count = len(model.boxes[0])
         ray, prim = (a.ravel() for a in np.meshgrid(np.arange(len(o)), np.arange(count), indexing="ij"))
-        met = model.intersect(prim, o[ray], d[ray], KU_OURS, ours=True)
+        met = model.intersect(prim, o[ray], d[ray], OUR_SIDE)
         sure = met.pair[met.at.possible & (met.at.t > 0.0)]
         needed = set((ray[sure] * count + prim[sure]).tolist())
         given = np.concatenate([near.ray * count + near.box for near in model.nearby.crossings(o, d)])

@@ -13,6 +13,7 @@ from mitsuba_scenes import lit_scene, scene_judge
 import caster
 from caster.aovs import Aovs
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, sentence_by_row
@@ -106,7 +107,7 @@ def move_reference(judge: Judge, name: str, share: float) -> np.ndarray:
         pair.result.t[rows] = pair.result.answer.t[rows] = judge.answer.t[rows] + off
     elif name == "uv":
         step, points = np.array([1e-6, 0.0]), judge.model.uv_points
-        moved = points(judge.prim, ours + step, ours=False) - points(judge.prim, ours, ours=True)
+        moved = points(judge.prim, ours + step, REFERENCE_SIDE) - points(judge.prim, ours, OUR_SIDE)
         per_step = np.linalg.norm(moved, axis=1)
         rows = rows[(per_step[rows] > 1e-9) & judge.model.reference_has_uv(judge.prim)[rows]]
         theirs[rows] = ours[rows] + step * (share * at.uv_error[rows] / per_step[rows])[:, None]

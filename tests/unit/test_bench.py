@@ -74,7 +74,7 @@ def test_a_slow_image_is_made_smaller_until_it_fits():
 def exact(request, tmp_path_factory) -> ExactHits:
     ready = write_scene(BY_NAME[request.param], tmp_path_factory.mktemp("scene"), 16)
     rows = sampled_rows(len(ready.o))[::3]
-    return ExactHits(ready, ready.o[rows], ready.d[rows])
+    return ExactHits(ready.model, ready.o[rows], ready.d[rows])
 
 
 def test_exact_answers_are_right_and_errors_are_counted_as_what_they_are(exact):

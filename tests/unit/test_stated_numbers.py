@@ -25,6 +25,7 @@ from caster.kernels.protocol import hull_point, hull_size, intersect, load, prep
 from caster.kernels.triangles import fast_barycentrics
 from caster.scene.model import Scene
 from mitsuba_ref import error_model, oracle, shapes
+from mitsuba_ref.error_model.scene_model import Side
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 from mitsuba_ref.shapes import reference_of
@@ -100,7 +101,7 @@ def bounds(shape: Any) -> dict[str, list[float]]:
     d = (d * 0.75).astype(np.float32).astype(float)
     found = {}
     for ku, ours in ROUNDINGS:
-        met = model.intersect(np.zeros(len(o), np.int64), o, d, ku, ours=ours)
+        met = model.intersect(np.zeros(len(o), np.int64), o, d, Side(ku, ours))
         order = np.lexsort([np.nan_to_num(met.at.t), met.pair])
         for field in ("t", *ERRORS, "possible", "certain"):
             found[f"{field}, {ku:g}, {'ours' if ours else 'reference'}"] = getattr(met.at, field)[order]
