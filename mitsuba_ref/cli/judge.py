@@ -17,6 +17,7 @@ from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.intersections import Array, Rays
 from mitsuba_ref.hard import rays
+from mitsuba_ref.judge.adjudication import prims_and_t
 from mitsuba_ref.judge.checks.secondary_rays import LeavingRays, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
@@ -159,7 +160,5 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
     lines = batch_of(parents[used])
-    answers = Oracle(packed).first_hits(*lines)
-    prim = np.array([answer.prim for answer in answers], np.int64)
-    t = np.array([answer.distance for answer in answers])
+    prim, t = prims_and_t(Oracle(packed).first_hits(*lines))
     return leaving_rays(scene, packed, lines.take(of), prim[of], t[of], rows[:, 3:6], rows[:, :3])

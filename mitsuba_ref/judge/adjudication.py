@@ -57,10 +57,17 @@ class Adjudication:
         return self.by_row.get(int(row))
 
     def first_hits(self, rows: Array) -> tuple[Array, Array]:
-        """(m,) primitive and t of the exact answer at some rows; -1 and inf on a miss, or if it is not known."""
-        answers = [self.of(row) for row in rows]
-        prim = np.array([-1 if answer is None else answer.prim for answer in answers], np.int64)
-        return prim, np.array([np.inf if answer is None else answer.distance for answer in answers])
+        """As `prims_and_t`, at some rows; -1 and inf also where the answer is not known."""
+        return prims_and_t([self.of(row) or MISS for row in rows])
+
+
+MISS = ExactAnswer(None, ())
+
+
+def prims_and_t(answers: Sequence[ExactAnswer]) -> tuple[Array, Array]:
+    """(m,) primitive and t of exact answers; -1 and inf on a miss."""
+    prim = np.array([answer.prim for answer in answers], np.int64)
+    return prim, np.array([answer.distance for answer in answers])
 
 
 def sample_rows(rows: Array, count: int) -> Array:
@@ -180,10 +187,10 @@ class ExactHits:
     def __init__(self, model: SceneModel, o: Array, d: Array) -> None:
         self.model, self.o, self.d = model, o.astype(np.float64), d.astype(np.float64)
         self.answers = tuple(Oracle(model.packed).first_hits(self.o, self.d))
-        self.hit = np.array([answer.hit for answer in self.answers], bool)
-        self.t = np.array([answer.distance for answer in self.answers])
+        self.prim, self.t = prims_and_t(self.answers)
+        self.hit = self.prim >= 0
 
-    def near(self, rows: Array, prim: Array, t: Array, side: Side) -> Intersections:
+    def near(self, rows: Array | slice, prim: Array, t: Array, side: Side) -> Intersections:
         """Intersections of some rays with primitives, one each."""
         return intersections_at(self.model, prim, self.o[rows], self.d[rows], t, side)
 
@@ -193,8 +200,7 @@ class ExactHits:
 
     def bounds(self, side: Side) -> Array:
         """(n,) bounds on |t - exact t| at the first primitive that is hit; NaN on a miss."""
-        prim = np.array([answer.prim for answer in self.answers], np.int64)
-        return np.where(self.hit, self.near(np.arange(len(prim)), prim, self.t, side).t_error, np.nan)
+        return np.where(self.hit, self.near(slice(None), self.prim, self.t, side).t_error, np.nan)
 
     def errors(self, t: Array) -> Array:
         """(n,) |t - exact t|, exactly rounded; NaN where either is not finite."""

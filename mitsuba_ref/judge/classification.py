@@ -161,9 +161,9 @@ class Judge(Pixels):
         own, certain = self.own, self.at.certain
         if not self.answer.exact_visibility:
             certain = certain & own.certain
-        hits = np.pad(self.hit.reshape(self.pair.shape), 1)
+        hits = np.pad(self.hit.reshape(self.shape), 1)
         near_hit = sliding_window_view(hits, (3, 3)).any(axis=(2, 3)).ravel()
-        if self.pair.rays.is_list:
+        if self.rays.is_list:
             # Rounding may move a hit beyond t_min or t_max, and a miss has no neighbours.
             certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
             rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
@@ -225,7 +225,7 @@ class Judge(Pixels):
         classes[rows] = CODE.reference_wrong
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
         classes[rows[allowed & ~useless]] = CODE.explained
-        exponent = self.pair.rays.rows(rows).reference_exponent
+        exponent = self.rays.rows(rows).reference_exponent
         same = (lines.o == self.o[rows]).all(axis=1)
         same &= (np.ldexp(lines.d, exponent[:, None]) == self.d[rows]).all(axis=1)
         for i in np.flatnonzero(allowed & ~useless & same):
@@ -287,7 +287,7 @@ class Judge(Pixels):
         if len(rows):
             lines = self.reference_lines.take(rows)
             answers = [answer for answer in map(exact.of, rows) if answer is not None]
-            if self.pair.rays.is_list:  # along other numbers than the subject's
+            if self.rays.is_list:  # along other numbers than the subject's
                 answers = self.oracle.first_hits(*lines)
             prims = self.reference_prim[rows].astype(np.int64)
             claims, robust = self._reference_claims(rows), self.result.robust

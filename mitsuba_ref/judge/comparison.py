@@ -54,27 +54,6 @@ class ImagePair:
     reference: Aovs  # at least the same
     result: ReferenceResult
 
-    @cached_property
-    def length(self) -> Array:
-        """(n,) of each ray's d."""
-        return norm(self.rays.d.astype(np.float64))
-
-    @property
-    def prim(self) -> Array:
-        """(n,) the subject's primitives, numbered through the scene; -1 on a miss, or if it names none."""
-        return np.full(len(self.answer.t), -1, np.int32) if self.answer.prim is None else self.answer.prim
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(height, width)."""
-        height, width = self.subject.hit.shape
-        return height, width
-
-    @property
-    def any_hit(self) -> Array:
-        """(n,) bool: hit by either side."""
-        return self.subject.hit.ravel() | self.result.hit
-
 
 def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: ReferenceResult) -> ImagePair:
     """Both answers as images under the same names."""
@@ -138,12 +117,12 @@ class Pixels:
     def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair, view: SceneModel | None = None):
         """view: the model as the subject may see it, if not `model`."""
         self.scene, self.model, self.pair, self.view = scene, model, pair, view or model
-        self.answer, self.result = pair.answer, pair.result
-        o, d, t_max = (a.astype(np.float64) for a in pair.rays[:3])
-        self.lines = Rays(o, d, np.broadcast_to(np.asarray(pair.rays.t_min, np.float64), t_max.shape), t_max)
+        self.rays, self.answer, self.result = pair.rays, pair.answer, pair.result
+        o, d, t_max = (a.astype(np.float64) for a in self.rays[:3])
+        self.lines = Rays(o, d, np.broadcast_to(np.asarray(self.rays.t_min, np.float64), t_max.shape), t_max)
         self.o, self.d, self.t_min, self.t_max = self.lines
         self.subject, self.reference = pair.subject, pair.reference
-        self.hit = pair.subject.hit.ravel()
+        self.hit = self.subject.hit.ravel()
         self.reference_prim = reference_prims(self.result, model)
         # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
         self.names_prims = self.answer.prim is not None
@@ -155,9 +134,9 @@ class Pixels:
         with np.errstate(invalid="ignore"):
             self.point = self.o + self.answer.t[:, None] * self.d
         if self.answer.prim_id is not None:  # as packed: Mitsuba counts the triangles of a stand-in by itself
-            numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
+            numbers = model.packed.index_in_shape(self.reference_prim).reshape(self.shape)
             self.reference = Aovs({**pair.reference, "prim_id": numbers}, pair.reference.hit)
-        self.uv = self._uv_pair() if "uv" in pair.subject else None
+        self.uv = self._uv_pair() if "uv" in self.subject else None
         # No rounding excuses images that contradict themselves.
         self.inconsistent = inconsistent_aovs(self)
         self.consistent = ~np.any([np.zeros(len(self.hit), bool), *self.inconsistent.values()], axis=0)
@@ -183,7 +162,7 @@ class Pixels:
     @cached_property
     def reference_lines(self) -> Rays:
         """The rays as Mitsuba traced them: `lines`, but for rays of a list."""
-        o, d, t_max = (a.astype(np.float64) for a in self.pair.rays.for_reference()[:3])
+        o, d, t_max = (a.astype(np.float64) for a in self.rays.for_reference()[:3])
         return Rays(o, d, np.zeros(len(o)), t_max)
 
     @property
@@ -217,7 +196,7 @@ class Pixels:
         differs by far more than any bound.
         """
         at = self.at
-        depth = at.t_error * self.pair.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
+        depth = at.t_error * self.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
         found = {"depth": depth, "position": at.p_error, "normal": at.n_error, "shading_normal": at.sh_error}
         return found if self.uv is None else found | {"uv": self.uv.bound}
 
@@ -249,6 +228,27 @@ class Pixels:
     def both_hit(self) -> Array:
         """(n,) bool."""
         return self.hit & self.reference.hit.ravel()
+
+    @property
+    def any_hit(self) -> Array:
+        """(n,) bool: hit by either side."""
+        return self.hit | self.result.hit
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        height, width = self.subject.hit.shape
+        return height, width
+
+    @cached_property
+    def length(self) -> Array:
+        """(n,) of each ray's d."""
+        return norm(self.d)
+
+    @property
+    def subject_prim(self) -> Array:
+        """(n,) the subject's primitives, numbered through the scene; -1 on a miss, or if it names none."""
+        return np.full(len(self.hit), -1, np.int32) if self.answer.prim is None else self.answer.prim
 
 
 @without_float_warnings
@@ -299,7 +299,7 @@ def inconsistent_aovs(pixels: Pixels) -> dict[str, Array]:
     No rounding excuses a number that is not finite on a hit, a value on a miss, or a depth, mask, primitive or albedo
     that does not follow from the hit.
     """
-    scene, packed, pair, prim = pixels.scene, pixels.model.packed, pixels.pair, pixels.answer.prim
+    scene, packed, prim = pixels.scene, pixels.model.packed, pixels.answer.prim
     if prim is None:
         return {}
     subject, t = pixels.subject, pixels.answer.t
@@ -310,7 +310,7 @@ def inconsistent_aovs(pixels: Pixels) -> dict[str, Array]:
             values = aov_rows(subject, name).reshape(len(hit), -1)
             unfit = np.where(hit[:, None], ~np.isfinite(values), values != MISS_VALUES.get(name, 0))
             found[name] = any_of_columns(unfit)
-    depth = pair.rays.start + t * pair.length  # from the eye, up to three roundings
+    depth = pixels.rays.start + t * pixels.length  # from the eye, up to three roundings
     found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
     found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
     shape = aov_rows(subject, "shape_id")

@@ -19,6 +19,7 @@ from mitsuba_ref.error_model.defect_conditions import (
 from mitsuba_ref.error_model.intersections import Array, Rays, norm, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE, SceneModel, Side
 from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.judge.adjudication import prims_and_t
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import KINDS, kind_of
 
@@ -70,7 +71,7 @@ def defect_features(
     nearly = wide.judge(lines, claims, also=named).allowed
     whole, normless = _with_normals(model, o, d, claims, named)
     normless &= wide.judge(lines, whole, also=named).allowed
-    hit = np.array([answer.prim for answer in answers], np.int64)
+    hit, _ = prims_and_t(answers)
     distance, offset = np.maximum(_distance_and_offset(model, hit, o), _distance_and_offset(model, named, o))
     for i, answer in enumerate(answers):
         t, prim = float(claims.t[i]), int(named[i])

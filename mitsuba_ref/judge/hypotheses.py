@@ -177,7 +177,7 @@ def _explains_hits(f: WrongPixels, fits: Array) -> bool:
 
 def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong hits, misses and t, the simplest first; numbers in it are fitted to the wrong pixels f."""
-    answer, is_list, camera = f.judge.answer, f.judge.pair.rays.is_list, f.judge.scene.camera
+    answer, is_list, camera = f.judge.answer, f.judge.rays.is_list, f.judge.scene.camera
     if is_list and not answer.hits_only:
         yield from OUT_OF_RANGE
     yield _quantity(
@@ -197,7 +197,7 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if not answer.exact_visibility:
         yield from _other_numbers(f)
     if not is_list:
-        yield from _image_orders(f.judge.pair.shape)
+        yield from _image_orders(f.judge.shape)
         yield from (_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
     yield from SELECTIONS
     yield from _other_rays()
@@ -247,7 +247,7 @@ def _is_rounding_of_t(g: WrongPixels, bound: Array) -> Array:
 def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     """t at the right surface, of other numbers than those that are traced, or with the rounding of others."""
     answer = f.judge.answer
-    described = described_model(f.judge.scene) if f.judge.pair.rays.is_list and answer.precision == FLOAT64 else None
+    described = described_model(f.judge.scene) if f.judge.rays.is_list and answer.precision == FLOAT64 else None
 
     def of_described(g: WrongPixels) -> Array:
         at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, OUR_SIDE)

@@ -45,7 +45,7 @@ class WitnessAnswer:
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """The answers of all witnesses. judge: of a window of one pixel."""
-    surface, t = surface_of(judge, int(judge.pair.prim[0])), float(judge.answer.t[0])
+    surface, t = surface_of(judge, int(judge.subject_prim[0])), float(judge.answer.t[0])
     rows = [compared_with_exact(WitnessAnswer("ours", *surface, t, format=FLOAT64), judge, answer)]
     if answer is not None:
         rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), answer.distance, right=True))
@@ -63,9 +63,7 @@ def _of_mitsuba(judge: Judge, exact: ExactAnswer | None) -> Iterator[WitnessAnsw
             continue
         found: ReferenceResult | Crash = result
         if (variant, robust) != (given, result.robust):
-            found = trace_reference(
-                judge.scene, judge.model, judge.pair.rays, variant=variant, lights=False, robust=robust
-            )
+            found = trace_reference(judge.scene, judge.model, judge.rays, variant=variant, lights=False, robust=robust)
         if isinstance(found, Crash):
             yield WitnessAnswer(who, problem=f"no answer ({found.exit}): {found.headline}")
             continue

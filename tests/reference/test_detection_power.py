@@ -148,7 +148,7 @@ def test_spheres_at_the_same_place_are_no_bias_and_hide_none_of_another_sphere(s
     third = caster.Sphere(center=(x + 0.3, y + 0.3, z + 1.8), radius=0.4)  # in front of a part of both
     asked = Asked(send, "one-sphere", 96, 96, [twin, third])
     judge = asked.judge(asked.grown(share))
-    names = [images["shape_id"].ravel() for images in (judge.pair.subject, judge.pair.reference)]
+    names = [images["shape_id"].ravel() for images in (judge.subject, judge.pair.reference)]
     assert np.sum(names[0] != names[1]) >= 1000  # many are tied
     found = errors(asked, asked.grown(share))
     print(f"\ntwo at one place and another, larger by {share:g}: {found}")

@@ -13,7 +13,7 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.bounces import RAY_KINDS, Bounce
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import Array, Rays, cross, dot, norm, unit
+from mitsuba_ref.error_model.intersections import Array, Rays, cross, dot, norm, rounded, unit
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE
 from mitsuba_ref.error_model.tolerances import KU_OURS, U32
@@ -44,8 +44,7 @@ def check_secondary_rays(bounce: Bounce, scene: Scene) -> Iterator[Found]:
     at = intersections_at(own_model(parents.packed), prim, *parents.rays[:2], t, OUR_SIDE)
     materials = [scene.material_of(shape) for shape in scene.shapes]
     material = np.array([*(each.type for each in materials), ""])[np.where(hit, parents.shape_id, -1)]
-    ior = np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0])[parents.shape_id]
-    ior = ior.astype(np.float32).astype(np.float64)
+    ior = rounded(np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0]))[parents.shape_id]
     d, n, n_error = unit(parents.rays.d), np.where(hit[:, None], at.n, 0.0), np.where(hit, at.n_error, 0.0) + KU_OURS
     cosine = dot(d, n)
     seen = np.abs(cosine) > n_error + LEFT_OUT
