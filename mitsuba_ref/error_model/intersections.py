@@ -25,8 +25,8 @@ class Rays(NamedTuple):
     t_min: Array  # (n,)
     t_max: Array  # (n,) negative: no ray
 
-    def take(self, rows: Array | list[int]) -> "Rays":
-        """Some of them, by index or mask."""
+    def take(self, rows: Array | list[int] | slice) -> "Rays":
+        """Some of them, by index, mask or slice."""
         return Rays(*(a[rows] for a in self))
 
 

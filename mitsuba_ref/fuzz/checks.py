@@ -20,7 +20,7 @@ from mitsuba_ref.fuzz.cases import Case, ray_of, scene_data
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Finding, Tally
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_parts import random_shape, shape_types
-from mitsuba_ref.hard.rays import Frame
+from mitsuba_ref.hard.rays import Frame, endless
 from mitsuba_ref.hard.swept_families import NO_VIEW
 from mitsuba_ref.judge import checks as registry
 from mitsuba_ref.judge.checks import knife_edges
@@ -185,7 +185,7 @@ def _finding_of(failure: Failure, verdict: SceneVerdict, scene: Scene, rays: Sha
     ray = None
     if rays is not None:
         at = [failure.y * scene.film.width + failure.x]
-        ray = Rays(rays.o[at], rays.d[at], np.zeros(1), np.full(1, np.inf))
+        ray = endless(rays.o[at], rays.d[at])
     lines = (
         f"{failure.reason}; {failure.check} {failure.ratio:.3g} times its bound",
         f"{'candidate:' if verdict.candidate else 'ours:':<10} {failure.subject}",

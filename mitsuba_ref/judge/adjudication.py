@@ -13,7 +13,7 @@ from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
-from mitsuba_ref.error_model.intersections import Array, Intersections, without_float_warnings
+from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, Side
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
@@ -76,15 +76,16 @@ def sample_rows(rows: Array, count: int) -> Array:
     return np.sort(chosen)
 
 
-def oracle_answers(oracle: Oracle, o: Array, d: Array, t_max: Array, t_min: Array) -> Sequence[ExactAnswer | None]:
+def oracle_answers(oracle: Oracle, lines: Rays) -> Sequence[ExactAnswer | None]:
     """The exact answer to each ray; None for a ray that the oracle cannot answer."""
     try:
-        return oracle.first_hits(o, d, t_min, t_max)
+        return oracle.first_hits(*lines)
     except OutsideDomain:
-        if len(o) == 1:
+        if len(lines.o) == 1:
             return [None]
-        halves = zip(*(np.array_split(rows, 2) for rows in (o, d, t_max, t_min)), strict=True)
-        return [answer for half in halves for answer in oracle_answers(oracle, *half)]
+        half = len(lines.o) // 2
+        parts = lines.take(slice(half)), lines.take(slice(half, None))
+        return [answer for part in parts for answer in oracle_answers(oracle, part)]
 
 
 def claims_of(answer: Answer, packed: Packed) -> Claims:

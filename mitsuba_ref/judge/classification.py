@@ -197,7 +197,7 @@ class Judge(Pixels):
         """Compare these rows of the image, ascending, with exact arithmetic."""
         given, t_min, starts = self.answer.rows(rows), self.t_min[rows], self.hits_at_t_min[rows]
         limits = np.where(starts, np.nextafter(t_min, -np.inf), t_min)
-        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], limits)
+        answers = oracle_answers(self.oracle, self.lines.take(rows)._replace(t_min=limits))
         starts &= [each is not None and each.distance == limit for each, limit in zip(answers, t_min, strict=True)]
         given = replace(given, t=np.where(starts, t_min, given.t))
         found = exact_ratios(answers, given, lambda of, *at: self.near(rows[of], *at), self.model.packed)

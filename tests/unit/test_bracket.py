@@ -214,7 +214,7 @@ def test_shadow_rays_do_not_count_the_surface_they_leave():
     """From a point of a ball to the outside nothing blocks; through the ball, its far side does."""
     o = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     d = np.array([[0.1, 0.0, 1.0], [0.1, 0.0, -1.0]])
-    rays = Rays(o, d, np.zeros(2), np.full(2, np.inf))
+    rays = endless(o, d)
     alone = bracket([BALL], o, d, ours=True)
     possible, certain = alone.blocked(rays, leaving=START)
     assert possible.tolist() == certain.tolist() == [False, True]
@@ -229,9 +229,7 @@ def test_only_the_meeting_at_the_start_is_left_out():
     """Seen from inside, the far wall of the ball is no start of it, even where nothing else of the ball is met."""
     o, d = np.array([[0.0, 0.0, 0.999]]), np.array([[0.0, 0.0, -1.0]])
     inside = bracket([BALL], o, d, ours=True)
-    possible, certain = inside.blocked(
-        Rays(o, d, np.zeros(1), np.full(1, np.inf)), leaving=(np.array([0]), np.array([1e-15]))
-    )
+    possible, certain = inside.blocked(endless(o, d), leaving=(np.array([0]), np.array([1e-15])))
     assert possible[0] and certain[0]
 
 

@@ -23,7 +23,7 @@ from mitsuba_ref.judge.checks.knife_edges import AimedFailure, scene_of_ray
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, WRONG, Departures, OriginJudge
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest
 from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model, packed_float32
 from mitsuba_ref.subjects.subject import NoAnswer
@@ -203,7 +203,7 @@ def judge_origins(leaving: LeavingRays, judge: OriginJudge | None = None) -> Ori
     return OriginFindings(leaving, *judge.judge(leaving.rays))
 
 
-def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = send_stored) -> LeavingRays:
+def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest) -> LeavingRays:
     """The rays from where a rule, or one of RULES and MITSUBA, lets them start; None: as they are. Raises NoAnswer."""
     if rule is None:
         return leaving
@@ -215,9 +215,7 @@ def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = s
         return leaving._replace(rays=rays._replace(q=as_float32(place(rays.p, rays.n, rays.w))))
 
 
-def reference_rays(
-    leaving: LeavingRays, send: SendRequest = send_stored, timeout: float = DEFAULT_TIMEOUT
-) -> LeavingRays:
+def reference_rays(leaving: LeavingRays, send: SendRequest, timeout: float = DEFAULT_TIMEOUT) -> LeavingRays:
     """The same rays from where Mitsuba's spawn_ray puts them, of those whose parent hits the same point in Mitsuba.
 
     Raises NoAnswer.
