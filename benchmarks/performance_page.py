@@ -23,9 +23,8 @@ from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.drivers import FILM
 from mitsuba_ref.bench.machine import CORES
-from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
+from mitsuba_ref.bench.measuring import EXACT_RAYS, MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
-from mitsuba_ref.bench.scoring import EXACT_RAYS
 
 PAGE, IMAGE_FOLDER = "performance.md", "performance"
 README, README_SECTION = "README.md", "## How fast\n"  # whose table has these scenes of the run

@@ -57,9 +57,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_report_header() -> list[str]:
     """What is missing is named here: no test is skipped for it in silence."""
-    from mitsuba_ref.cli.doctor import report
+    from caster.cli.installation import report
+    from mitsuba_ref.cli.doctor import judge_findings
 
-    found = {finding.name: finding for finding in report()}
+    found = {finding.name: finding for finding in [*report(), *judge_findings()]}
     old = OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
     peers = ", ".join(f"{name} {'found' if importlib.util.find_spec(name) else NO_PEER}" for name in PEERS)
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), NO_CHROMIUM)

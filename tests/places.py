@@ -1,6 +1,7 @@
-"""Where things are in this tree, and its scenes on films of any size."""
+"""Where things are in this tree, its scenes on films of any size, and scenes made of some shapes."""
 
 from pathlib import Path
+from typing import Any
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
@@ -12,3 +13,8 @@ SCENES = ROOT / "scenes"
 def shipped(name: str, width: int, height: int) -> Scene:
     """A scene of scenes/ on a film of this size."""
     return load_scene(SCENES / f"{name}.toml").with_film(width=width, height=height)
+
+
+def scene_of(*shapes: Any, **more: Any) -> Scene:
+    """Shapes before a camera, for tests that look at no image of it."""
+    return Scene(camera={"type": "pinhole", "eye": (0, 0, 9), "look_at": (0, 0, 0)}, shapes=shapes, **more)

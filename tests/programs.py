@@ -1,4 +1,4 @@
-"""Runs the programs of docs/programs."""
+"""Runs the programs of docs/programs, and other Python in processes of its own."""
 
 import contextlib
 import io
@@ -14,14 +14,26 @@ FOLDER = ROOT / "docs" / "programs"
 MAX_LINES = 12  # without the comment on top, which says what the program does
 
 
+def python(*words: str | Path, cwd: Path = ROOT, **variables: str) -> subprocess.CompletedProcess[str]:
+    """A process of this interpreter that finds this tree and has these words after its name."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | variables
+    return subprocess.run(
+        [sys.executable, *words], cwd=cwd, env=environment, capture_output=True, text=True, timeout=300
+    )
+
+
+def printed_by(*words: str | Path, cwd: Path = ROOT, **variables: str) -> str:
+    """What such a process prints; it has to end with exit code 0."""
+    done = python(*words, cwd=cwd, **variables)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
 def run_program(path: Path, folder: Path) -> str:
     """What the program prints in `folder`; it has to end with exit code 0."""
     if "import pytest" in path.read_text():
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(folder)])}
-        words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(path)]
-        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, f"{path.name}:\n{done.stdout}{done.stderr}"
-        return done.stdout
+        places = os.pathsep.join([str(ROOT), str(folder)])
+        return printed_by("-m", "pytest", "-q", "-p", "no:cacheprovider", path, cwd=folder, PYTHONPATH=places)
     for file in folder.glob("*.py"):
         sys.modules.pop(file.stem, None)  # another test's, of the same name
     modules, out = set(sys.modules), io.StringIO()

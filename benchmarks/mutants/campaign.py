@@ -44,7 +44,7 @@ PLAIN = {
         lanes wide_angle_cameras
     """,
     "tests/exact": """
-        box_tree edge_cases oracle_filter oracle_kinds oracle_roots oracle_scenes
+        box_tree edge_cases oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication detection_power error_models_hold excused_classes
@@ -73,11 +73,11 @@ WITH_COMPILER = {
         stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
-        box_tree edge_cases oracle_filter oracle_kinds oracle_roots oracle_scenes
+        box_tree edge_cases oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold
-        excused_classes hypotheses judge_classes mesh_loader mistakes mitsuba_files new_shape probe_witnesses ray_lists
+        excused_classes judge_classes mesh_loader mistakes mitsuba_files new_shape probe_witnesses ray_lists
     """,
     "tests/report": """
         pages records

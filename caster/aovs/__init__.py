@@ -1,7 +1,7 @@
 """The AOVs that can be rendered. An AOV from elsewhere is added by `register` and rendered like these."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from caster.jit.decorators import implement, inlined
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
 
-__all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register"]
+__all__ = ["AOVS", "BY_NAME", "KERNELS", "Aov", "Aovs", "register"]
 
 
 class Aov(NamedTuple):
@@ -52,9 +52,9 @@ class Aovs(dict[str, NDArray[Any]]):
         def __getattr__(self, name: str) -> NDArray[Any]:
             if name in self:
                 return self[name]
-            close = get_close_matches(name, BY_NAME, n=1)
-            hint = f", did you mean '{close[0]}'?" if close else ""
-            hint = f": render it, aovs=({name!r}, ...)" if name in BY_NAME else hint
+            (meant,) = get_close_matches(name, BY_NAME, n=1) or [""]
+            hint = f", did you mean '{meant}'?" if meant else ""
+            hint = f": render it, aovs=({name!r}, ...)" if meant == name else hint
             raise AttributeError(f"no '{name}' among these AOVs ({', '.join(self)}){hint}")
 
     def __repr__(self) -> str:
@@ -71,7 +71,7 @@ class PerHit(NamedTuple):
 
 AOVS: list[Aov] = []
 BY_NAME: dict[str, Aov] = {}
-_KERNELS: dict[str, Any] = {}
+KERNELS: dict[str, Any] = {}  # by name: the argument of `per_hit` and `write_aov` for an AOV, a PerHit of its own class
 
 
 def register(aov: Aov) -> None:
@@ -82,33 +82,18 @@ def register(aov: Aov) -> None:
         raise ValueError(f"aov {aov.NAME!r}: needs {sorted(unknown)}; known are {', '.join(NEEDED_FIELDS)}")
     if aov.DTYPE not in (np.float64, np.int32) or not aov.CHANNELS:
         raise ValueError(f"aov {aov.NAME!r}: DTYPE must be float64 or int32, and CHANNELS not empty")
-    _KERNELS[aov.NAME] = _kernel(aov)
-    AOVS.append(aov)
-    BY_NAME[aov.NAME] = aov
-
-
-def kernel_of(name: str) -> Any:
-    """The argument of `per_hit` and `write_aov` that stands for an AOV: a PerHit of a class of its own."""
-    return _KERNELS[name]
-
-
-def needs_of(names: Iterable[str]) -> frozenset[str]:
-    """All fields that some of these AOVs need."""
-    return frozenset(field for name in names for field in BY_NAME[name].NEEDS)
-
-
-def _kernel(aov: Aov) -> Any:
-    """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
-    name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
-    tag: Any = type(name, (PerHit,), {"__module__": aov.evaluate.__module__})
+    # compiled kernels are keyed by the classes of their arguments, so each AOV gets a class
+    tag: Any = type(f"PerHit_{aov.NAME}", (PerHit,), {"__module__": aov.evaluate.__module__})
     evaluate = inlined(aov.evaluate)
 
+    @implement(per_hit, tag)
     def body(aov: Any, hit: Any) -> Any:
         return evaluate(hit)
 
-    implement(per_hit, tag)(body)
-    miss = number(aov.MISS)
-    return tag(miss, (miss,) * len(aov.CHANNELS))
+    miss = int(aov.MISS) if aov.DTYPE is np.int32 else float(aov.MISS)
+    KERNELS[aov.NAME] = tag(miss, (miss,) * len(aov.CHANNELS))
+    AOVS.append(aov)
+    BY_NAME[aov.NAME] = aov
 
 
 # ---- the AOVs ----

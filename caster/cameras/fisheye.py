@@ -11,13 +11,9 @@ from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project,
 from caster.kernels.raster.wide_angle import (
     ANGLE_ROUNDING,
     MAX_HULL_ANGLE,
-    film_circle,
     hull_distortion_bound,
-    off_film,
     ray_along,
     sphere_in_camera_space,
-    to_circle_units,
-    unknown_projection,
 )
 
 __all__ = ["Fisheye"]
@@ -43,14 +39,16 @@ class Fisheye(Camera):
     fov: WideFieldOfView = 180.0
 
     def pack(self, width: int, height: int) -> FisheyeRays:
+        circle = 0.5 * width, 0.5 * height, 0.5 * min(width, height)
         half = math.radians(self.fov) / 2.0
         most = curvature_bound(half + MAX_HULL_ANGLE) if half + MAX_HULL_ANGLE < MAX_PROJECTED_ANGLE else math.inf
-        return FisheyeRays(self.eye, *self.frame, film_circle(width, height), half, most)
+        return FisheyeRays(self.eye, *self.frame, circle, half, most)
 
 
 @implement(camera_ray, FisheyeRays)
 def _camera_ray(camera: Any, x: float, y: float) -> Any:
-    across, above = to_circle_units(camera.circle, x, y)
+    middle_x, middle_y, radius = camera.circle
+    across, above = (x - middle_x) / radius, (middle_y - y) / radius
     square, half = across * across + above * above, 0.5 * camera.half_angle
     inside = square <= 1.0
     # h = half * distance is half the angle from the axis: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
@@ -76,9 +74,9 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     aside = hypotenuse(place[0], place[1])
     angle, reach = arctangent(aside, place[2]), arcsine(r / distance if valid else 0.0)
     if valid and angle - reach > camera.half_angle + ANGLE_ERROR:
-        return off_film(distance - r)
+        return math.inf, math.inf, -math.inf, -math.inf, distance - r, True  # off the film
     if not valid or angle + reach > MAX_PROJECTED_ANGLE:
-        return unknown_projection(distance - r)
+        return 0.0, 0.0, 0.0, 0.0, distance - r, False
     off_axis = aside > MIN_AXIS_SINE * distance
     across, above = (place[0] / aside, place[1] / aside) if off_axis else (1.0, 0.0)
     around = reach * max(angle * distance / aside, 1.0) if off_axis else reach

@@ -8,12 +8,7 @@ from caster.jit.decorators import implement
 from caster.kernels.math.angles import arcsine, arctangent, sinc_and_cos
 from caster.kernels.math.vec import hypotenuse
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
-from caster.kernels.raster.wide_angle import (
-    hull_distortion_bound,
-    ray_along,
-    sphere_in_camera_space,
-    unknown_projection,
-)
+from caster.kernels.raster.wide_angle import hull_distortion_bound, ray_along, sphere_in_camera_space
 
 __all__ = ["Panorama"]
 
@@ -58,7 +53,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     """Rows between the extreme latitudes; all columns if the sphere contains a pole or crosses the seam."""
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
-        return unknown_projection(distance - r)
+        return 0.0, 0.0, 0.0, 0.0, distance - r, False
     level = hypotenuse(place[0], place[2])
     latitude, reach = arctangent(place[1], level), arcsine(r / distance)
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi

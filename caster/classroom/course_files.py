@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
-from caster.description.errors import SceneError, suggestion
+from caster.description.errors import SceneError, diagnostics_of, suggestion
 from caster.description.input_files import read_text
 from caster.description.parsing import Span, format_excerpt, located_error
 from caster.geometry.mesh_files import MeshFolders
-from caster.scene.files import validated
 from caster.scene.model import Scene
 
 __all__ = ["load_course_scene"]
@@ -317,10 +317,14 @@ def load_course_scene(
         _add_objects(draft, sections["Group"], [])
     except CourseError as error:
         at, said = error.args
-        raise SceneError(format_excerpt(at, said, text, origin)) from None
-    scene, problems = validated(draft.data, MeshFolders(Path(path).parent, tuple(map(Path, mesh_dirs))))
-    if scene is None:
-        places = draft.places
-        raise located_error(problems, lambda path: places.get(path[:2]) or places.get(path[:1], START), text, origin)
+        raise SceneError(format_excerpt(at, said, text.split("\n"), origin)) from None
+    try:
+        folders = MeshFolders(Path(path).parent, tuple(map(Path, mesh_dirs)))
+        scene = Scene.model_validate(draft.data, context=folders)
+    except ValidationError as error:
+        places, problems = draft.places, diagnostics_of(error, draft.data, Scene)
+        raise located_error(
+            problems, lambda path: places.get(path[:2]) or places.get(path[:1], START), text, origin
+        ) from None
     left_out = [f"{origin}:{span.line}:{span.column}: left out: {note}" for span, note in sorted(draft.left_out)]
     return CourseScene(scene, sections["Background"].get("color", [0.5] * 3), draft.falloffs, left_out)

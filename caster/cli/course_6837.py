@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
     course = load_course_scene(args.input, *args.size, **options)
     if course.left_out:
-        print(list_errors(course.left_out, str, args.input), file=sys.stderr)
+        print(list_errors(course.left_out, len(course.left_out), args.input), file=sys.stderr)
     with error_prefix(args.input):
         images = render_course(course, args.threads)
     pictures = {

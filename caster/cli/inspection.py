@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import rejected_faces
-from caster.kernels.nearest import intersect_each
+from caster.kernels.nearest import intersect_each, ray_at
+from caster.kernels.raster.tile import NORMALS, SURFACES, SURFACES_WITH_UV
 from caster.rendering.bvh_construction import bvh_of, has_bvh
 from caster.rendering.images import RenderResult, trace_film
 from caster.scene.model import Scene
@@ -39,7 +40,7 @@ def probe(scene: Scene, x: int, y: int) -> dict[str, Any]:
     for kind in packed.kinds if t_min < t_max else ():
         count = len(kind.ids)
         t, error = np.full(count, np.inf), np.zeros(count)
-        intersect_each(kind.prims, np.arange(count), view.rays, t, error, 0, count)
+        intersect_each(kind.prims, ray_at(view.rays, 0), t, error)
         shown = np.isfinite(t) | np.isinf(error)
         ids = kind.ids[shown]
         columns = t[shown], packed.shape_of(ids), packed.index_in_shape(ids), error[shown]
@@ -59,13 +60,21 @@ def _finite(number: float) -> float | None:
 # ---- the work of a render ----
 
 
+SURFACE_PARTS = {
+    None: [],
+    NORMALS: ["normals"],
+    SURFACES: ["position", "normals"],
+    SURFACES_WITH_UV: ["position", "normals", "uv"],
+}
+
+
 def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
     """The work done, for `caster render --json`."""
-    plan, scene, kinds, on_film = rendered.plan, rendered.scene, rendered.packed.kinds, rendered.on_film
+    scene, kinds, on_film = rendered.scene, rendered.packed.kinds, rendered.on_film
     x0, y0, x1, y1 = scene.film.window
     return {
         "camera_rays": {"cast": (x1 - x0) * (y1 - y0), "camera": scene.camera.type},
-        "culling": {"name": plan.culling, "reason": plan.reason},
+        "culling": rendered.culling,
         "primitives": [
             {
                 "kind": type(kind.prims).__name__.lower(),
@@ -76,31 +85,33 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
             for i, kind in enumerate(kinds)
         ],
         "never_hit": rejected_faces(scene),
-        "trees": plan.trees._asdict(),
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {
-            "hits": rendered.hits if plan.surfaces else 0,
-            "worked_out": list(plan.surfaces),
-            "reason": plan.surfaces_reason,
+            "hits": rendered.hits if rendered.surfaces is not None else 0,
+            "worked_out": SURFACE_PARTS[rendered.surfaces],
         },
-        "shading": plan.shading._asdict(),
-        "shadow_rays": {**plan.shadows._asdict(), "cast": rendered.shadow_rays},
+        "shadow_rays": rendered.shadow_rays,
         "aovs": list(aovs),
     }
 
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
     """The account in words, a line for each part, for `caster render --explain`."""
-    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
-
-
-def _words(part: Any) -> str:
-    if isinstance(part, dict):
-        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
-    if isinstance(part, list):
-        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
-    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
+    done = account(rendered, aovs)
+    surfaces, rays, kinds = done["surfaces"], done["camera_rays"], done["primitives"]
+    skipped = [part for part in SURFACE_PARTS[SURFACES_WITH_UV] if part not in surfaces["worked_out"]]
+    skipped += [] if done["shadow_rays"] else ["shadow rays"]
+    skipped += [f"BVH of {kind['kind']}" for kind in kinds if not kind["nodes"]]
+    parts = {
+        "camera rays": f"{rays['cast']}, camera {rays['camera']}",
+        "culling": done["culling"],
+        **{kind["kind"]: f"{kind['count']}, of which {kind['looked_for']} may be on the film" for kind in kinds},
+        **{f"BVH of {kind['kind']}": f"{kind['nodes']} nodes" for kind in kinds if kind["nodes"]},
+        "never hit": ", ".join(f"{count} faces of {name}" for name, count in done["never_hit"].items()) or "none",
+        "decided exactly": f"{done['decided_exactly']} rays",
+        "surfaces": f"{' '.join(surfaces['worked_out']) or 'nothing'} of {surfaces['hits']} hits",
+        "shadow rays": done["shadow_rays"],
+        "AOVs": " ".join(aovs),
+        "skipped": ", ".join(skipped) or "nothing",
+    }
+    return "\n".join(f"{name:<20} {part}" for name, part in parts.items())

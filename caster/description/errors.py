@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 __all__ = [
@@ -107,16 +108,11 @@ SINGULAR = {many: one for one, many in PLURAL.items()}
 
 
 class Diagnostic(NamedTuple):
-    """A message, and the path through the input data to the value it concerns."""
+    """An error of the value at a path through the input data."""
 
     path: DataPath
-    text: str
+    message: Callable[[], str]  # which compares names for suggestions: called for errors that are listed
     missing: bool = False  # a file is missing or unreadable
-
-
-def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
-    """Diagnostic of one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
-    return Diagnostic(path, _message(path, text, data, model))
 
 
 def format_path(path: DataPath) -> str:
@@ -138,25 +134,22 @@ def child_of(value: Any, step: str | int) -> Any:
     return getattr(value, step, None) if hasattr(value, "model_fields_set") else None
 
 
-def _message(path: DataPath, text: str, data: Any, model: Model) -> str:
+def value_message(path: DataPath, text: str, data: Any, model: Model) -> str:
+    """The message on one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
     depth = getattr(model, "ELEMENTS", {}).get(path[0], 0) if path else 0
     depth = depth if depth <= len(path) else 0
-    name = format_path(path[depth:])
-    return f"{_subject(path[:depth], data, model)}: {name}{' ' if name else ''}{text}"
-
-
-def _subject(path: DataPath, data: Any, model: Model) -> str:
-    """The element that a message concerns: shapes[3] (disk "lid")."""
-    item = data
-    for step in path:
-        item = child_of(item, step)
-    kind, name = child_of(item, "type"), child_of(item, "name")
+    element = data
+    for step in path[:depth]:
+        element = child_of(element, step)
+    kind, name = child_of(element, "type"), child_of(element, "name")
     label = f" {format_value(name)}" if isinstance(name, str) and name else ""
-    if not path:
-        return model.__name__.lower() + label
-    where = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:]))
-    details = f"{_bare(kind) if isinstance(kind, str) else ''}{label}".strip()
-    return f"{where} ({details})" if details else where
+    subject = model.__name__.lower() + label
+    if depth:
+        details = f"{_bare(kind) if isinstance(kind, str) else ''}{label}".strip()
+        place = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:depth]))
+        subject = f"{place} ({details})" if details else place
+    field = format_path(path[depth:])
+    return f"{subject}: {field}{' ' if field else ''}{text}"
 
 
 CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
@@ -166,9 +159,12 @@ def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diag
     """All errors of a validation as diagnostics, and those of checks across elements."""
     found: dict[Any, Diagnostic] = {}
     for finding in error.errors(include_url=False):
-        if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
-            problem = _diagnostic(finding, data, model)
-            found[problem.path, finding["type"]] = problem  # Pydantic may report one twice
+        kind = finding["type"]
+        if kind != CROSS_ELEMENT_ERROR:  # repeated below on the input data
+            path = _path_of(finding, data)
+            place = (*path, "type") if kind.startswith("union_tag") else path
+            message = partial(_message_of, finding, path, data, model)
+            found[place, kind] = Diagnostic(place, message, kind == "missing_file")  # Pydantic may report one twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
 
@@ -208,32 +204,27 @@ def _models_in(annotation: Any) -> tuple[Model, ...]:
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
 
-def _diagnostic(finding: Any, data: Any, model: Model) -> Diagnostic:
-    kind, got, path = finding["type"], finding["input"], _path_of(finding, data)
+def _message_of(finding: Any, path: DataPath, data: Any, model: Model) -> str:
+    """The message on a finding of Pydantic about the value at a path."""
+    kind = finding["type"]
     if kind == "missing":
-        return Diagnostic(path, _message(path[:-1], f"needs the key '{path[-1]}'", data, model))
+        return value_message(path[:-1], f"needs the key '{path[-1]}'", data, model)
     if kind == "extra_forbidden":
-        text = _unknown_key(str(path[-1]), _models_at(path[:-1], data, model))
+        fields = [each.model_fields.items() for each in _models_at(path[:-1], data, model)]
+        known = [field.alias or name for items in fields for name, field in items]
+        text = f"is an unknown key{suggestion(str(path[-1]), known)}"
     elif kind.startswith("union_tag"):
+        known = [str(_type_of(each)) for each in _models_at(path, data, model)]
         noun = SINGULAR.get(str(path[0]), str(path[0])) if len(path) <= 2 else str(path[-1])
-        text = _unknown_type(got, noun, _models_at(path, data, model))
-        return Diagnostic((*path, "type"), _message(path, text, data, model))
+        got = child_of(finding["input"], "type")
+        if got is None:
+            text = f"needs the key 'type': {join_words(known)}"
+        else:
+            hint = suggestion(str(got), known)
+            text = f"unknown {noun} type {format_value(got)}{hint} (known: {', '.join(known)})"
     else:
-        text = _text(kind, got, finding.get("ctx", {}))
-    return Diagnostic(path, _message(path, text, data, model), kind == "missing_file")
-
-
-def _unknown_key(key: str, models: Sequence[Model]) -> str:
-    known = [field.alias or name for model in models for name, field in model.model_fields.items()]
-    return f"is an unknown key{suggestion(key, known)}"
-
-
-def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
-    known = [str(_type_of(model)) for model in models]
-    kind = child_of(got, "type")
-    if kind is None:
-        return f"needs the key 'type': {join_words(known)}"
-    return f"unknown {noun} type {format_value(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
+        text = _text(kind, finding["input"], finding.get("ctx", {}))
+    return value_message(path, text, data, model)
 
 
 def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
@@ -247,17 +238,12 @@ def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
         expected = join_words(map(format_value, words))
         return f"must be {expected}, got {format_value(got)}{suggestion(str(got), words)}"
     if kind in LIMIT_SIGNS:
-        sign, key = LIMIT_SIGNS[kind]
-        return f"must be {sign} {format_value(ctx[key])}, got {format_value(got)}"
+        (limit,) = ctx.values()
+        return f"must be {LIMIT_SIGNS[kind]} {format_value(limit)}, got {format_value(got)}"
     return f"must be {EXPECTED_TYPES.get(kind, 'something else')}, got {format_value(got)}"
 
 
-LIMIT_SIGNS = {
-    "greater_than": (">", "gt"),
-    "greater_than_equal": (">=", "ge"),
-    "less_than": ("<", "lt"),
-    "less_than_equal": ("<=", "le"),
-}
+LIMIT_SIGNS = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
 EXPECTED_TYPES = {
     "finite_number": "a finite number",
     "int_type": "a whole number",

@@ -45,42 +45,30 @@ __all__ = ["Camera", "Count", "Description", "Index", "Positive", "RowOf", "Shap
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 
 
-def _as_float(value: Any) -> float:
-    """A number as a float, with the sign of a zero."""
-    try:
-        if isinstance(value, str) and re.match(HEX_FLOAT, value):
-            return float.fromhex(value)
-        if not isinstance(value, bool) and isinstance(value, numbers.Real):
-            return float(value)
-    except OverflowError:
-        pass
-    hint = ": leave out the quotes" if _is_quoted_number(value) else ""
-    raise expectation_error("a finite number", value, hint=hint)
-
-
-def _as_unsigned_zero(value: Any) -> float:
-    """A number as a float. -0.0 becomes 0.0, so that equal scenes have equal text."""
-    return _as_float(value) + 0.0
-
-
 class Quantity:
     """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
 
-    def __init__(self, parse: Callable[[Any], float] = _as_unsigned_zero, **limits: Any) -> None:
-        """limits: of Pydantic's floats: gt, ge, lt, le."""
-        self.parse, self.limits = parse, limits
+    def __init__(self, signed_zero: bool = False, **limits: Any) -> None:
+        """signed_zero: whether -0.0 stays; else it is 0.0, so that equal scenes have equal text.
+
+        limits: of Pydantic's floats: gt, ge, lt, le.
+        """
+        self.signed_zero, self.limits = signed_zero, limits
+
+    def _read(self, value: Any) -> float:
+        hint = ""
+        with contextlib.suppress(OverflowError, ValueError):
+            if isinstance(value, str) and not re.match(HEX_FLOAT, value):
+                hint = ": leave out the quotes" if math.isfinite(float(value)) else ""
+            elif not isinstance(value, bool) and isinstance(value, (str, numbers.Real)):
+                number = float.fromhex(value) if isinstance(value, str) else float(value)
+                return number if self.signed_zero else number + 0.0
+        raise expectation_error("a finite number", value, hint=hint)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         number = core_schema.float_schema(allow_inf_nan=False, **self.limits)
         written = core_schema.union_schema([number, core_schema.str_schema(pattern=HEX_FLOAT)])
-        return core_schema.no_info_before_validator_function(self.parse, number, json_schema_input_schema=written)
-
-
-def _is_quoted_number(value: Any) -> bool:
-    try:
-        return isinstance(value, str) and math.isfinite(float(value))
-    except ValueError:
-        return False
+        return core_schema.no_info_before_validator_function(self._read, number, json_schema_input_schema=written)
 
 
 class FixedArray(np.ndarray):
@@ -110,7 +98,11 @@ class ArrayOf:
         return self._kept(validate(value))
 
     def _kept(self, items: Any) -> FixedArray:
-        array = np.array(items, self.dtype) + 0  # as _as_float
+        try:
+            array = np.array(items, self.dtype) + 0  # no -0.0, as of a Quantity
+        except ValueError:
+            lengths = sorted({len(row) for row in items})
+            raise ValueError(f"must have rows of the same length, got {lengths}") from None
         array.flags.writeable = False
         return array.view(FixedArray)
 
@@ -154,7 +146,7 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 Number = Annotated[float, Quantity()]  # a finite number
-SignedNumber = Annotated[float, Quantity(_as_float)]  # a finite number; zeros keep their signs
+SignedNumber = Annotated[float, Quantity(signed_zero=True)]  # a finite number; zeros keep their signs
 Positive = Annotated[float, Quantity(gt=0.0)]  # a number > 0
 NonNegative = Annotated[float, Quantity(ge=0.0)]  # a number >= 0
 RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # a number from 1 to 4, which is germanium's
@@ -205,7 +197,7 @@ class Description(BaseModel):
             super().__init__(**data)
         except ValidationError as error:
             problems = diagnostics_of(error, {key: plain(value) for key, value in data.items()}, type(self))
-            raise SceneError("\n".join(problem.text for problem in problems)) from None
+            raise SceneError("\n".join(problem.message() for problem in problems)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not name.startswith("_"):
@@ -230,6 +222,18 @@ class Description(BaseModel):
         """A validated copy with other values. Cached properties are not copied."""
         kept = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**(kept | dict(update or {})))
+
+
+def exactly_one(one: str, other: str) -> Any:
+    """A validator of descriptions: one of two fields is given, and not both."""
+
+    def check(self: Description) -> Description:
+        given = [name for name in (one, other) if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"needs either {one} or {other}, got {'both' if given else 'neither'}")
+        return self
+
+    return model_validator(mode="after")(check)
 
 
 # ---- to_world ----
@@ -274,12 +278,12 @@ def checked_frame(view: Any, start: str, target: str) -> tuple[transform.Vector,
         raise expectation_error(across, up, "up") from None
 
 
-def _three(value: Any) -> Any:
-    return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
-
-
 Rows = Annotated[Any, RowOf(Row, 4, "4 rows of 4 numbers")]  # 4 rows of 4 numbers
-Factors = Annotated[Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)]  # 3 numbers, or one for all
+_for_all = BeforeValidator(
+    lambda value: value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value),
+    json_schema_input_type=Number | Vec3,
+)
+Factors = Annotated[Vec3, _for_all]  # 3 numbers, or one for all
 
 
 class Step(Description):
@@ -436,13 +440,3 @@ class ClippedCamera(Camera):
     def clip(self) -> tuple[float, float]:
         """near and far, inf without a limit."""
         return self.near, math.inf if self.far is None else self.far
-
-
-class Light(Description):
-    """Base of all lights."""
-
-    type: str
-
-    def pack(self) -> Any:
-        """The light's parameters for kernels."""
-        raise NotImplementedError(f"a light of type {self.type} has no direction")

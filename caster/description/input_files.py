@@ -48,12 +48,8 @@ def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[BufferedRe
         with os.fdopen(os.open(name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             if not stat.S_ISREG(mode):
-                raise FileMissing(f"{name}: cannot read this {what}: expected a file, got {_kind(mode)}")
+                got = "a folder" if stat.S_ISDIR(mode) else "a FIFO, a socket or a device"
+                raise FileMissing(f"{name}: cannot read this {what}: expected a file, got {got}")
             yield file
     except OSError as error:
         raise FileMissing(f"{name}: cannot read this {what}: {error.strerror or error}") from error
-
-
-def _kind(mode: int) -> str:
-    kinds = {"a folder": stat.S_ISDIR, "a FIFO": stat.S_ISFIFO, "a socket": stat.S_ISSOCK}
-    return next((name for name, test in kinds.items() if test(mode)), "a device")

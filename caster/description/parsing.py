@@ -28,8 +28,17 @@ class Positions:
     """The positions of all values in a valid TOML or JSON text; the position of a value is that of its key."""
 
     def __init__(self, text: str, kind: str) -> None:
+        import tree_sitter
+        import tree_sitter_json
+        import tree_sitter_toml
+
+        if kind == "json":  # whose grammar has no NaN and Infinity: numbers of the same length
+            number = {"NaN": "111", "Infinity": "11111111"}
+            words = r'"(?:[^"\\]|\\.)*"|NaN|Infinity'
+            text = re.sub(words, lambda found: number.get(found[0], found[0]), text)
         self._lines = text.encode().split(b"\n")
-        tree = _tree(text, kind)
+        grammar = tree_sitter_toml if kind == "toml" else tree_sitter_json
+        tree = tree_sitter.Parser(tree_sitter.Language(grammar.language())).parse(text.encode()).root_node
         found = () if tree.has_error else list(_located(tree))
         self._nodes = {path: (first, last) for path, first, last in found}
         for path, first, last in found:  # an implicit table begins at its first key
@@ -47,22 +56,6 @@ class Positions:
         end = last.end_point[1] if last.end_point[0] == row else len(self._lines[row])
         before, inside = self._lines[row][:start].decode(), self._lines[row][start:end].decode()
         return Span(row + 1, len(before) + 1, max(len(inside.rstrip("\r")), 1))
-
-
-def _tree(text: str, kind: str) -> Any:
-    import tree_sitter
-    import tree_sitter_json
-    import tree_sitter_toml
-
-    grammar = tree_sitter_toml if kind == "toml" else tree_sitter_json
-    parser = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
-    return parser.parse((text if kind == "toml" else _strict(text)).encode()).root_node
-
-
-def _strict(text: str) -> str:
-    """JSON with NaN and Infinity replaced by numbers of the same length."""
-    number = {"NaN": "111", "Infinity": "11111111"}
-    return re.sub(r'"(?:[^"\\]|\\.)*"|NaN|Infinity', lambda found: number.get(found[0], found[0]), text)
 
 
 LocatedNodes = Iterator[tuple[DataPath, Any, Any]]  # a path, and the first and last node of its position
@@ -169,51 +162,52 @@ def model_of_text(model: type[M], text: str, kind: str, origin: str, context: An
     """The model that a TOML or JSON text describes. Raises SceneError with every error and its line."""
     try:
         data = parse(text, kind, origin)
-        return model.model_validate(data, context=context)
-    except ValidationError as error:
-        raise located_error(diagnostics_of(error, data, model), Positions(text, kind).of, text, origin) from None
+        try:
+            return model.model_validate(data, context=context)
+        except ValidationError as error:
+            raise located_error(diagnostics_of(error, data, model), Positions(text, kind).of, text, origin) from None
     except RecursionError:
-        raise SceneError(f"{origin}: nested too deeply to be read") from None
+        raise SceneError(f"{origin}: lists or tables are nested too deeply to be read") from None
 
 
 def located_error(
     problems: Sequence[Diagnostic], place: Callable[[DataPath], Span], text: str, origin: str
 ) -> SceneError:
     """The first diagnostics, each with its line, and how many more; FileMissing if nothing else is wrong."""
-    located = sorted((place(each.path), each.text) for each in problems)
+    located = sorted(((place(each.path), each) for each in problems), key=lambda found: found[0])
+    last = located[:MAX_ERRORS_LISTED][-1][0]
+    messages = sorted((span, each.message()) for span, each in located if span <= last)
+    lines = text.split("\n")
+    excerpts = [format_excerpt(*found, lines, origin) for found in messages[:MAX_ERRORS_LISTED]]
     kind = FileMissing if all(each.missing for each in problems) else SceneError
-    return kind(list_errors(located, lambda found: format_excerpt(*found, text, origin), origin))  # type: ignore[call-arg]  # place, text
+    return kind(list_errors(excerpts, len(problems), origin))
 
 
-def list_errors(errors: Sequence[Any], format_error: Callable[[Any], str], origin: str) -> str:
-    """The first errors, or notes, each on its lines, and how many more there are."""
-    listed = [format_error(error) for error in errors[:MAX_ERRORS_LISTED]]
-    if len(errors) > len(listed):
-        listed.append(f"{origin}: and {len(errors) - len(listed)} more")
+def list_errors(errors: Sequence[str], count: int, origin: str) -> str:
+    """The first of `count` errors, or notes, each on its lines, and how many more there are."""
+    listed = [*errors[:MAX_ERRORS_LISTED]]
+    if count > len(listed):
+        listed.append(f"{origin}: and {count - len(listed)} more")
     return "\n".join(listed)
 
 
 def _syntax_error(error: ValueError, text: str, kind: str, origin: str) -> str:
-    line, column, message = _error_position(error, text)
-    span = Span(line, column, 1)
-    rest = text.split("\n")[line - 1][column - 1 :]
-    hint = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
-    return format_excerpt(span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}", text, origin)
-
-
-def _error_position(error: ValueError, text: str) -> tuple[int, int, str]:
-    if isinstance(error, json.JSONDecodeError):
-        return error.lineno, error.colno, error.msg
-    found = re.fullmatch(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)", str(error), re.DOTALL)
-    if found and found[2]:
-        return int(found[2]), int(found[3]), found[1]
-    lines = text.rstrip().split("\n")
-    return len(lines), len(lines[-1]) + 1, found[1] if found else str(error)
-
-
-def format_excerpt(span: Span, sentence: str, text: str, origin: str) -> str:
-    """`file:line:column: message`, followed by the line and a marker below the span."""
     lines = text.split("\n")
+    found = re.fullmatch(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)", str(error), re.DOTALL)
+    if isinstance(error, json.JSONDecodeError):
+        line, column, message = error.lineno, error.colno, error.msg
+    elif found and found[2]:
+        line, column, message = int(found[2]), int(found[3]), found[1]
+    else:
+        written = text.rstrip().split("\n")
+        line, column, message = len(written), len(written[-1]) + 1, found[1] if found else str(error)
+    hint = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", lines[line - 1][column - 1 :]) else ""
+    sentence = f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}"
+    return format_excerpt(Span(line, column, 1), sentence, lines, origin)
+
+
+def format_excerpt(span: Span, sentence: str, lines: Sequence[str], origin: str) -> str:
+    """`file:line:column: message`, followed by the line and a marker below the span; lines: of the whole text."""
     line = lines[span.line - 1].rstrip("\r") if span.line <= len(lines) else ""
     start = max(0, span.column - 1 - MAX_LINE_CHARACTERS // 2) if len(line) > MAX_LINE_CHARACTERS else 0
     part = line[start : start + MAX_LINE_CHARACTERS]

@@ -11,15 +11,9 @@ from typing import TypeVar
 
 from caster.description.fields import Description
 
-__all__ = ["Registry", "load_plugins", "type_name"]
+__all__ = ["Registry", "load_plugins"]
 
 Entry = TypeVar("Entry", bound=Description)
-
-
-def type_name(entry: type[Description]) -> str:
-    """The `type` by which scene files select a description."""
-    name: str = entry.model_fields["type"].default
-    return name
 
 
 class Registry(list[type[Entry]]):
@@ -38,7 +32,7 @@ class Registry(list[type[Entry]]):
             raise ValueError(
                 f"{entry.__name__}: needs a field `type: Literal[NAME] = NAME` that scene files select it by"
             )
-        if field.default in map(type_name, self):
+        if field.default in [each.model_fields["type"].default for each in self]:
             raise ValueError(f"{entry.__name__}: the type {field.default!r} is registered already")
         self.append(entry)
         self.changed()

@@ -142,14 +142,12 @@ def is_invertible(matrix: Matrix) -> bool:
     """Whether a finite affine matrix is invertible in float64. Small and large uniform scales are."""
     linear = matrix[:3, :3]
     try:
-        return bool(_row_norm(linear) * _row_norm(inverse(linear)) < LARGEST_CONDITION)
+        both = linear.tolist(), inverse(linear).tolist()
     except np.linalg.LinAlgError:
         return False
-
-
-def _row_norm(m: Matrix) -> float:
-    """The largest sum of magnitudes of a row: the norm that belongs to the largest component of vectors."""
-    return max(abs(x) + abs(y) + abs(z) for x, y, z in m.tolist())
+    # the largest sum of magnitudes of a row: the norm that belongs to the largest component of vectors
+    norm, norm_of_inverse = (max(abs(x) + abs(y) + abs(z) for x, y, z in rows) for rows in both)
+    return bool(norm * norm_of_inverse < LARGEST_CONDITION)
 
 
 def inverse(m: Matrix) -> Matrix:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from caster.description.errors import SceneError, value_diagnostic
+from caster.description.errors import SceneError, value_message
 from caster.description.transform import cross, subtract
-from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given
+from caster.geometry.world_space import AnyScene, Rounding, as_float32, as_given
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
@@ -109,7 +109,7 @@ class Packed:
         return np.where(prim < 0, -1, prim - self.first[np.maximum(shape, 0)]).astype(np.int32)
 
 
-def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
+def pack(scene: AnyScene, rounded: Rounding = as_given) -> Packed:
     """Pack all shapes into world-space arrays, with `rounded` applied to the numbers that define the geometry.
 
     Raises SceneError for a shape whose numbers do not stay finite.
@@ -125,10 +125,10 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     return Packed(tuple(kinds), parts, first, flipped if flipped.any() else None)
 
 
-CACHED_AS: dict[Rounding, str] = {as_given: "packed", as_float32: "packed float32"}  # keys of ShapeCollection.derived
+CACHED_AS: dict[Rounding, str] = {as_given: "packed", as_float32: "packed float32"}  # keys of Scene.derived
 
 
-def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
+def packed(scene: AnyScene, rounded: Rounding = as_given) -> Packed:
     """The packing of a scene, cached with it and so with its bounding boxes and BVHs; see `pack`."""
     key = CACHED_AS[rounded]
     if key not in scene.derived:
@@ -137,33 +137,27 @@ def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     return found
 
 
-def forget_packed(scene: ShapeCollection, rounded: Rounding, at_least: int) -> None:
+def forget_packed(scene: AnyScene, rounded: Rounding, at_least: int) -> None:
     """Drop a cached packing of `at_least` primitives, with its BVHs; the scene is packed again when needed."""
     key = CACHED_AS[rounded]
     if key in scene.derived and scene.derived[key].first[-1] >= at_least:
         del scene.derived[key]
 
 
-def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
-    """Pack one shape. Raises SceneError unless all numbers are finite."""
+def pack_shape(scene: AnyScene, i: int, rounded: Rounding) -> Any:
+    """Pack one shape. Raises SceneError unless all numbers are finite, ValueError for a mesh with arrays too short."""
     part: Any = None
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         part = scene.shapes[i].pack(rounded)
     if part is None or not all(np.isfinite(array).all() for array in part):
         text = "must stay finite in world space, but its numbers are too large or too small together"
-        model: Any = type(scene)
-        raise SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
-    if isinstance(part, Triangles):
-        _check_lengths(part, type(scene.shapes[i]).__name__)
+        raise SceneError(value_message(("shapes", i), text, scene, type(scene)))
+    if isinstance(part, Triangles):  # whose arrays kernels would read beyond their ends
+        shape, vertices, faces = type(scene.shapes[i]).__name__, len(part.vertices), len(part.faces)
+        for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
+            if (found := len(getattr(part, name))) != expected:
+                raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
     return part
-
-
-def _check_lengths(part: Triangles, shape: str) -> None:
-    """Raise ValueError for arrays of a mesh that kernels would read beyond their ends."""
-    vertices, faces = len(part.vertices), len(part.faces)
-    for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
-        if (found := len(getattr(part, name))) != expected:
-            raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
 
 
 def largest_coordinate(prims: Any) -> float:
@@ -173,7 +167,7 @@ def largest_coordinate(prims: Any) -> float:
         used[prims.faces] = True
         points = prims.vertices if used.all() else prims.vertices[used]
     else:
-        points = hulls_of(concatenate_parts([prims]), primitive_count(prims)).points
+        points, _ = hulls_of(concatenate_parts([prims]), primitive_count(prims))
     return float(max(points.max(initial=0.0), -points.min(initial=0.0)))
 
 
@@ -206,7 +200,7 @@ CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 10.0 * 2.0**-53, 2.0**-1000
 FACES_PER_CHUNK = 1 << 16  # faces; temporaries take some 300 bytes each, and there may be millions
 
 
-def rejected_faces(scene: ShapeCollection) -> dict[str, int]:
+def rejected_faces(scene: AnyScene) -> dict[str, int]:
     """Counts of degenerate faces by shape name, where there are any; packing makes degenerate what else it rejects."""
     counts = {
         name: sum(
@@ -226,14 +220,12 @@ def _count_degenerate(corners: np.ndarray) -> int:
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     error = CROSS_RELATIVE_ERROR * np.abs(e).max(axis=1) * np.abs(f).max(axis=1) + CROSS_UNDERFLOW
     sure = np.abs(np.cross(e, f)).max(axis=1) > error
-    return repeated + sum(_is_degenerate(face) for face in corners[~sure])
+    for face in corners[~sure].tolist():
+        a, b, c = ([*map(Fraction, corner)] for corner in face)
+        repeated += not any(cross(subtract(b, a), subtract(c, a)))
+    return repeated
 
 
-def _is_degenerate(face: np.ndarray) -> bool:
-    a, b, c = ([*map(Fraction, corner)] for corner in face.tolist())
-    return not any(cross(subtract(b, a), subtract(c, a)))
-
-
-def in_words(scene: ShapeCollection) -> str:
+def in_words(scene: AnyScene) -> str:
     """The counts as text; "" if there are none."""
     return ", ".join(f"{count} of {name}" for name, count in rejected_faces(scene).items())

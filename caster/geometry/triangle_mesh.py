@@ -41,10 +41,18 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     """
     vertices = np.asarray(vertices, np.float64)
     faces = faces[np.isfinite(vertices).all(axis=1).take(faces).all(axis=1)]
-    weighted = np.empty((3, len(faces), 3))
+    weighted = np.empty((3, len(faces), 3))  # x, y, z of a face's unit normal times the angle, at each corner
     for start in range(0, len(faces), FACES_PER_CHUNK):
         chunk = slice(start, start + FACES_PER_CHUNK)
-        weighted[:, chunk] = _weighted_normals(vertices[faces[chunk]])
+        at = np.ascontiguousarray(vertices[faces[chunk]].transpose(1, 2, 0))
+        edges = np.roll(at, -1, axis=0) - at  # edge i runs from corner i to the next one
+        edges = np.ldexp(edges, -_exponents(edges.reshape(9, -1)))
+        cross = np.cross(edges[0], edges[1], axis=0)
+        sine = row_lengths(cross.T)  # scaled by two edge lengths, like the cosine
+        unit = normalize_rows(cross.T).T
+        for i in range(3):
+            eighths, rest = _angle_parts(sine, -dot_rows(edges[i].T, edges[i - 1].T))
+            weighted[:, chunk, i] = unit * (0.25 * math.pi * eighths + rest)
     owner = np.ravel(faces)
     sums = [np.bincount(owner, each.ravel(), len(vertices)) for each in weighted]
     total = np.stack(sums, axis=1).astype(np.float64)
@@ -87,22 +95,6 @@ def format_row(numbers: Any) -> str:
 FACES_PER_CHUNK = 1 << 11  # temporaries stay in the cache of a core
 
 _angle_parts = inspect.unwrap(eighths_and_rest)  # the plain function, for arrays
-
-
-def _weighted_normals(corners: Floats) -> Floats:
-    """(3, m, 3): x, y, z of each face's unit normal times the angle at each corner; corners: (m, 3, 3), finite."""
-    at = np.ascontiguousarray(corners.transpose(1, 2, 0))
-    edges = np.roll(at, -1, axis=0) - at  # edge i runs from corner i to the next one
-    edges = np.ldexp(edges, -_exponents(edges.reshape(9, -1)))
-    a, b = edges[0], edges[1]
-    cross = np.cross(a, b, axis=0)
-    sine = row_lengths(cross.T)  # scaled by two edge lengths, like the cosine
-    unit = normalize_rows(cross.T).T
-    weighted = np.empty((3, len(corners), 3))
-    for i in range(3):
-        eighths, rest = _angle_parts(sine, -dot_rows(edges[i].T, edges[i - 1].T))
-        weighted[:, :, i] = unit * (0.25 * math.pi * eighths + rest)
-    return weighted
 
 
 def _exponents(columns: Floats) -> Ints:

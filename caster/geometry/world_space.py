@@ -7,7 +7,7 @@ numbers (inverses, normals) are float64 in both cases.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,19 +19,7 @@ from caster.kernels.triangles import Triangles
 __all__ = ["LARGEST_COORDINATE", "Rounding", "TriangleShape", "as_float32", "as_given", "is_usable", "world_vertices"]
 
 Rounding = Callable[[np.ndarray], np.ndarray]
-
-
-class ShapeCollection(Protocol):
-    """The part of a scene that packing reads."""
-
-    @property
-    def shapes(self) -> tuple[Shape, ...]: ...
-
-    @property
-    def derived(self) -> dict[str, Any]: ...
-
-    def shape_names(self) -> list[str]: ...
-
+AnyScene: TypeAlias = Any  # a caster.scene.model.Scene, which is declared by means of this package
 
 # A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about
 # 12 * 8 u of their length, u = 2^-53; intended non-uniform scales are far larger.
@@ -104,7 +92,13 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
     vertices, faces = _collapse_rejected(vertices, faces)
     normals = np.zeros((len(vertices), 3))
     if not face_normals:
-        normals = rounded(_world_normals(mesh, matrix, vertices, faces))
+        if mesh.normals is None:
+            normals = vertex_normals(vertices, faces)
+        else:
+            normals = transform_vectors(inverse(matrix[:3, :3]).T, mesh.normals)
+            length = row_lengths(normals)[:, None]
+            np.divide(normals, length, out=normals, where=length > 0.0)
+        normals = rounded(normals)
     uv = np.zeros((len(vertices), 2)) if mesh.uv is None else rounded(mesh.uv)
     return Triangles(
         np.ascontiguousarray(vertices, np.float64),
@@ -139,31 +133,19 @@ def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     return np.where(usable[:, None], vertices, replacement), np.where(kept, faces, place)
 
 
-def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    if mesh.normals is None:
-        return vertex_normals(vertices, faces)
-    turned = transform_vectors(inverse(matrix[:3, :3]).T, mesh.normals)
-    length = row_lengths(turned)[:, None]
-    unit: np.ndarray = np.divide(turned, length, out=turned, where=length > 0.0)
-    return unit
-
-
 class TriangleShape(Shape):
-    """Base of shapes that are made of triangles; flat unless a derived class says otherwise."""
+    """Base of shapes that are made of triangles, flat where the mesh has no normals."""
 
     def mesh(self) -> Mesh:
         """The mesh in object space."""
         raise NotImplementedError
 
-    def is_flat(self) -> bool:
-        """Whether normals are those of the faces."""
-        return True
-
     def without_uv(self) -> str:
         return "" if self.mesh().uv is not None else "its triangles have no uv"
 
     def pack(self, rounded: Rounding) -> Triangles:
-        return transform_mesh(self.mesh(), self.matrix, rounded, self.is_flat())
+        mesh = self.mesh()
+        return transform_mesh(mesh, self.matrix, rounded, face_normals=mesh.normals is None)
 
 
 class MeshShape(TriangleShape):
@@ -171,5 +153,5 @@ class MeshShape(TriangleShape):
 
     face_normals: Flag = False
 
-    def is_flat(self) -> bool:
-        return self.face_normals
+    def pack(self, rounded: Rounding) -> Triangles:
+        return transform_mesh(self.mesh(), self.matrix, rounded, self.face_normals)

@@ -44,11 +44,6 @@ class Nearest(NamedTuple):
     error: np.ndarray  # (n,) float64, the true t is within error of t
 
 
-def new_rays(count: int) -> Rays:
-    """Uninitialised rays."""
-    return Rays(np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.empty(count))
-
-
 def no_hits(count: int) -> Nearest:
     return Nearest(np.full(count, np.inf), np.full(count, -1, np.int32), np.zeros(count))
 
@@ -214,24 +209,11 @@ def precedes(x: Any, k: int, y: Any, j: int) -> bool:
     return first < 0 or (first == 0 and k < j)
 
 
-@jit
-def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: int) -> None:
-    """Merge the hits of one kind into those of all kinds where float64 can decide; ids[k]: the number in the scene."""
-    for i in range(start, stop):
-        if found.prim[i] < 0:
-            continue
-        t, error = found.t[i], found.error[i]
-        if t + error < nearest.t[i] - nearest.error[i]:
-            nearest.t[i], nearest.prim[i], nearest.error[i] = t, ids[found.prim[i]], error
-        elif t - error <= nearest.t[i] + nearest.error[i]:
-            contested[i] = True
-
-
 # One ray against single primitives, without culling.
 
 
 @jit
-def intersect_each(prims: Any, ks: Any, rays: Any, t: Any, error: Any, start: int, stop: int) -> None:
-    """`intersect_surely` of ray 0 and primitive ks[j] as t[j], error[j], for j in start..stop."""
-    for j in range(start, stop):
-        t[j], error[j] = intersect_surely(prims, ks[j], ray_at(rays, 0))
+def intersect_each(prims: Any, ray: Ray, t: Any, error: Any) -> None:
+    """t[k], error[k]: `intersect_surely` of a ray and each primitive k."""
+    for k in range(len(t)):
+        t[k], error[k] = intersect_surely(prims, k, ray)

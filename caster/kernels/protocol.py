@@ -153,7 +153,6 @@ def distortion_bound(camera: Any, extent: float) -> Any:
 def project_bounding_sphere(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the screen bounds of a sphere, and its least depth.
 
-    Depth counts as for `project`. Not valid: nothing is known, but for the depth. The rays of a camera that is not
-    rectilinear and implements no other body than this one traverse the trees.
+    Depth counts as for `project`. Not valid: nothing is known, but for the depth.
     """
     return 0.0, 0.0, 0.0, 0.0, -math.inf, False

@@ -256,9 +256,9 @@ def fast_triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> tuple[bool, Vec3]:
 
 
 @inlined
-def fast_interpolated_normal(weights: Vec3, n0: Vec3, n1: Vec3, n2: Vec3) -> tuple[bool, Vec3]:
-    """(whether this is of length 1, the normal between those of three vertices), without a branch."""
-    return fast_normalize(add(scaled(weights[0], n0), add(scaled(weights[1], n1), scaled(weights[2], n2))))
+def interpolated(weights: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """The point or normal between those of three vertices."""
+    return add(scaled(weights[0], a), add(scaled(weights[1], b), scaled(weights[2], c)))
 
 
 @jit
@@ -286,17 +286,14 @@ def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> 
     a, b, c = corners_of(prims.vertices, prims.faces, k)
     corners = sub(a, o), sub(b, o), sub(c, o)
     known, weights = fast_barycentrics(*corners, d)
-    weights = b0, b1, b2 = weights if known else barycentrics_edge_on(*corners, scaled(t, d))
-    p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
-    n = triangle_normal(a, b, c)
-    sh_n = n
+    weights = weights if known else barycentrics_edge_on(*corners, scaled(t, d))
+    n = sh_n = triangle_normal(a, b, c)
     if prims.smooth[k]:
-        known, sh_n = fast_interpolated_normal(weights, *corners_of(prims.normals, prims.faces, k))
-        sh_n = sh_n if known else normalize(sh_n)
-    s, r = b1, b2  # where the vertices have no uv
+        sh_n = normalize(interpolated(weights, *corners_of(prims.normals, prims.faces, k)))
+    s, r = weights[1], weights[2]  # where the vertices have no uv
     if wants_uv and prims.textured[k]:
         s, r = interpolated_uv(weights, *uv_of(prims, k))
-    return p, n, sh_n, s, r
+    return interpolated(weights, a, b, c), n, sh_n, s, r
 
 
 UV = tuple[float, float]
@@ -392,10 +389,10 @@ def sheared_last(p: Vec3, d: Vec3) -> tuple[float, float]:
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
     a, b, c = get_lane(scratch, LANE_A + x), get_lane(scratch, LANE_B + x), get_lane(scratch, LANE_C + x)
     known, weights = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
-    p = add(scaled(weights[0], a), add(scaled(weights[1], b), scaled(weights[2], c)))
+    p = interpolated(weights, a, b, c)
     wide, n = fast_triangle_normal(a, b, c)
     n0, n1, n2 = get_lane(scratch, LANE_NA + x), get_lane(scratch, LANE_NB + x), get_lane(scratch, LANE_NC + x)
-    long, between = fast_interpolated_normal(weights, n0, n1, n2)
+    long, between = fast_normalize(interpolated(weights, n0, n1, n2))
     smooth = scratch[LANE_SMOOTH + x] != 0.0
     return wide, known & wide & (long | (not smooth)), p, n, select(smooth, between, n), weights
 

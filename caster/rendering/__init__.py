@@ -1,1 +1,1 @@
-"""The render pipeline: plan, rays, nearest hits, surfaces, AOVs."""
+"""The render pipeline: rays, nearest hits, surfaces, AOVs."""

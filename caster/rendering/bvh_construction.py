@@ -123,7 +123,13 @@ def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float) -
     One fan of parallel rays, or six of rays through a point.
     """
     if isinstance(light, DirectionalLight):
-        return [parallel_fan(light.back, extent)]
+        back, reach = light.back, FAN_REACH * extent
+        axis = int(np.argmax(np.abs(back)))
+        x, y, z = np.roll(np.eye(3), -axis - 1, axis=0)
+        across, up = (e - (back[np.argmax(e)] / back[axis]) * z for e in (x, y))
+        away = -np.copysign(1.0, back[axis]) * z
+        slack = FAN_SLACK * (reach + extent)
+        return [Fan(0.0, (0.0, 0.0, 0.0), back, vec3(across), vec3(up), vec3(away), reach, slack)]
     point = light.position
     ahead = np.subtract(center, point)
     largest = np.abs(ahead).max()
@@ -138,17 +144,6 @@ def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float) -
         for z, x, y in ((forward, across, up), (across, up, forward), (up, forward, across))
         for sign in (1.0, -1.0)
     ]
-
-
-def parallel_fan(back: Vec3, extent: float) -> Fan:
-    """The fan of rays with direction `back`, of any length."""
-    axis = int(np.argmax(np.abs(back)))
-    x, y, z = np.roll(np.eye(3), -axis - 1, axis=0)
-    across, up = (e - (back[np.argmax(e)] / back[axis]) * z for e in (x, y))
-    away = -np.copysign(1.0, back[axis]) * z
-    reach = FAN_REACH * extent
-    slack = FAN_SLACK * (reach + extent)
-    return Fan(0.0, (0.0, 0.0, 0.0), back, vec3(across), vec3(up), vec3(away), reach, slack)
 
 
 def vec3(a: np.ndarray) -> Vec3:

@@ -13,9 +13,8 @@ from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
+from caster.kernels.raster.tile import BOX, PRIM, T_MIN, WIDTH, Box, T, load_rays, tile_rows
 from caster.rendering.casting import Culling, find_any, find_nearest
-from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace
 from caster.rendering.shading import TileShader, new_image
@@ -86,9 +85,10 @@ class RayHits:
         count = len(self.rays.t_min)
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
-        planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
-        start = np.append(self.start, np.zeros(-count % WIDTH)).reshape(window.height, window.width)
-        shader = TileShader(self.scene, self.packed, planned, images, start=start, exact_shadows=True)
+        prim = self.nearest.prim
+        if len(self.packed.kinds) > 1:
+            prim = np.where(self.hit, self.packed.places[prim], -1)  # tiles count primitives kind by kind
+        shader = TileShader(self.scene, self.packed, images, of_rays=True)
 
         def begin() -> list[Command]:
             workspace = TileWorkspace()
@@ -99,7 +99,7 @@ class RayHits:
                 numbers = np.arange(first, first + size, dtype=np.int32)
                 numbers[count - first :] = -1
                 load_rays(self.rays, numbers, tile)
-                for place, values in ((T, self.nearest.t), (PRIM, prim)):
+                for place, values in ((T, self.nearest.t), (PRIM, prim), (T_MIN, self.start)):
                     here = values[first : first + size]
                     tile[int(place) : int(place) + len(here)] = here
 
@@ -108,11 +108,6 @@ class RayHits:
         rows = tile_rows(window.width, window.height, len(self.packed.kinds))
         parallel_for_tiles(begin, rows, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
-
-    def _prim_in_tile(self) -> np.ndarray:
-        """(n,) number of the primitive that each ray hits, counted kind by kind, -1 on a miss."""
-        prim = self.nearest.prim
-        return prim if len(self.packed.kinds) <= 1 else np.where(self.hit, self.packed.places[prim], -1)
 
 
 def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray) -> RayHits:
@@ -194,24 +189,24 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
     """`validated_rays`, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
-    count = max(len(origins), len(directions)) if len(origins) and len(directions) else 0
+    counts = len(origins), len(directions)
+    count = counts[0] if counts[1] == 1 else counts[1]
+    if counts[0] not in (1, count):
+        got = f"{counts[0]} and {counts[1]}"
+        raise SceneError(f"rays: o and d must have equal lengths, or one of them be a single vector, got {got}")
     origins, directions = (
-        np.ascontiguousarray(np.broadcast_to(rows, (count, 3))) if len(rows) == 1 else rows
+        rows if len(rows) == count else np.ascontiguousarray(np.broadcast_to(rows, (count, 3)))
         for rows in (origins, directions)
     )
-    if len(origins) != len(directions):
-        got = f"{len(origins)} and {len(directions)}"
-        raise SceneError(f"rays: o and d must have equal lengths, or one of them be a single vector, got {got}")
-    start, end = _limits(t_min, "t_min", len(origins)), _limits(t_max, "t_max", len(origins))
+    start, end = _limits(t_min, "t_min", count), _limits(t_max, "t_max", count)
     if not np.all(start >= 0.0) or np.isnan(end).any():
         i = int(np.argmin((start >= 0.0) & ~np.isnan(end)))
         which = "rays" if start.strides == end.strides == (0,) else f"rays[{i}]"
-        first, last = (float(limits[i]) if len(limits) else limits for limits in (start, end))
-        raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {first} and t_max {last}")
+        raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {start[i]} and t_max {end[i]}")
     found: list[int] = []
     parallel_for(
         lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)),
-        len(origins),
+        count,
         least=MIN_RAYS_PER_THREAD,
     )
     if bad := [i for i in found if i >= 0]:

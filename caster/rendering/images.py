@@ -11,18 +11,19 @@ from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, packed
 from caster.jit.command_list import Command, command
-from caster.kernels.nearest import Rays, generate_rays, new_rays
+from caster.jit.decorators import implements
+from caster.kernels.nearest import Rays, generate_rays
+from caster.kernels.protocol import project
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, HEIGHT, generate_camera_rays, kind_numbers, tile_rows
+from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.surface.per_hit import store_hits
-from caster.rendering.bvh_construction import uses_bvh
-from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_nearest
+from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_nearest, trees_of
 from caster.rendering.hits import RayHits
-from caster.rendering.plan import Plan, plan
-from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, placed_kinds
+from caster.rendering.rasterization import BinnedKind, bin_kinds, parallel_for_tiles
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileCaster, TileWorkspace
 from caster.rendering.shading import TileShader, new_image
-from caster.rendering.threads import parallel_for, unwritten_array
+from caster.rendering.threads import parallel_for
 from caster.scene.model import Scene
 
 __all__ = ["camera_rays", "check_names", "evaluate", "film_window", "render", "trace_film"]
@@ -59,7 +60,8 @@ class RenderResult:
     scene: Scene
     packed: Packed
     aovs: Aovs
-    plan: Plan
+    culling: Culling
+    surfaces: int | None  # what was computed of each hit's surface: see TileShader
     hits: int
     decided_exactly: int  # pixels whose answer had to be found exactly
     shadow_rays: int
@@ -103,15 +105,18 @@ def render_film(
 ) -> RenderResult:
     """The same as `render`, with counts of the work. on_progress: is called with the number of pixels just done."""
     check_names(aovs)
-    planned, arrays, window = plan(scene, aovs, culling), packed(scene), film_window(scene)
+    arrays, window = packed(scene), film_window(scene)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
-    hit, uncertain = (unwritten_array((window.height, window.width), bool) for _ in range(2))
-    hit[:], uncertain[:] = False, False
+    hit, uncertain = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: new_image(name, window, dtype) for name in aovs}
-    shader = TileShader(scene, arrays, planned, images)
+    culling = culling or culling_for(camera)
+    shader = TileShader(scene, arrays, images)
     binned: list[BinnedKind] | None = None  # None where nothing is rasterized
-    if planned.culling == "raster":
-        binned = bin_kinds(arrays, camera, window, _farthest_origin(camera, window), threads)
+    if culling == "raster":
+        # origins are linear over the film, so that the largest coordinate is at a corner
+        right, bottom = window.width - 1, (window.height - 1) * window.width
+        origins = rays_through(camera, window, np.array([0, right, bottom, bottom + right])).o
+        binned = bin_kinds(arrays, camera, window, float(np.abs(origins).max()), threads)
 
     def commands() -> Iterator[Command]:
         """Commands for tiles with primitives."""
@@ -119,10 +124,13 @@ def render_film(
         tile = workspace.tile
         yield command(generate_camera_rays, camera, window, BOX, tile)
         if binned is not None:
-            yield from cast_commands(binned, tile, scene.camera.shares_origin)
+            for k, it in enumerate(binned):
+                at = kind_numbers(k)
+                about = it.kind.prims, it.order, at.run, it.bounds, it.base, BOX, tile, scene.camera.shares_origin
+                yield command(cast_in_bounds, *about, when=at.present)
         else:
-            for kind, base in placed_kinds(arrays):
-                yield kind_command(kind, base, tile, planned.culling == "bvh" and uses_bvh(kind))
+            caster = TileCaster(arrays, any_hit=False, uses_tree=trees_of(culling))
+            yield from caster.commands(tile, workspace.ray_groups)
         yield from shader.commands(workspace)
         # at the end, since shadows may be uncertain, too
         yield command(store_hits, tile, BOX, hit, uncertain)
@@ -137,7 +145,7 @@ def render_film(
     pixels = np.flatnonzero(uncertain)
     if len(pixels):  # decide them exactly
         rays = rays_through(camera, window, pixels, threads)
-        nearest = exact_nearest(arrays, rays, threads, trees=planned.culling != "brute-force")
+        nearest = exact_nearest(arrays, rays, threads, trees=culling != "brute-force")
         hits = RayHits(scene, arrays, rays, nearest, np.zeros(len(pixels)), threads)
         hit.reshape(-1)[pixels] = hits.hit
         for name, values in hits.evaluate(tuple(images)).items():
@@ -145,19 +153,19 @@ def render_film(
                 images[name].reshape(uncertain.size, *images[name].shape[2:])[pixels] = values
     on_film = () if binned is None else tuple(it.on_film for it in binned)
     counts = int(hit.sum()), len(pixels), shader.shadow_rays
-    return RenderResult(scene, arrays, Aovs(images, hit), planned, *counts, on_film)
+    return RenderResult(scene, arrays, Aovs(images, hit), culling, shader.surfaces, *counts, on_film)
 
 
-def _farthest_origin(camera: Any, window: Window) -> float:
-    """The largest |coordinate| of a ray's origin; origins are linear over the film, so it is at a corner."""
-    right, bottom = window.width - 1, (window.height - 1) * window.width
-    return float(np.abs(rays_through(camera, window, np.array([0, right, bottom, bottom + right])).o).max())
+def culling_for(camera: Any) -> Culling:
+    """The culling for a packed camera's own rays; those of one that projects no points traverse the BVHs."""
+    return "raster" if implements(project, type(camera)) else "bvh"
 
 
 def rays_through(camera: Any, window: Window, pixels: np.ndarray, threads: int | None = 1) -> Rays:
     """Rays through the centres of pixels (n,), numbered row by row through the window."""
-    rays = new_rays(len(pixels))
-    parallel_for(partial(generate_rays, camera, window, pixels, rays), len(pixels), threads, least=MIN_RAYS_PER_THREAD)
+    count = len(pixels)
+    rays = Rays(np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.empty(count))
+    parallel_for(partial(generate_rays, camera, window, pixels, rays), count, threads, least=MIN_RAYS_PER_THREAD)
     return rays
 
 

@@ -1,6 +1,6 @@
 """Rasterization: primitives are bounded on the screen, sorted into tiles and tested in the pixels of their bounds."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import Command, CommandList, command
+from caster.jit.command_list import Command, CommandList
 from caster.jit.decorators import implements
-from caster.kernels.bvh.build import BOX_PADDING, Hulls, hulls_of
-from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
+from caster.kernels.bvh.build import BOX_PADDING, hulls_of
+from caster.kernels.protocol import distortion_bound, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
     ScreenBounds,
@@ -20,8 +20,7 @@ from caster.kernels.raster.screen_bounds import (
     bound_spheres,
     project_vertices,
 )
-from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, bin_into_tiles, kind_numbers
-from caster.kernels.raster.tile_casting import cast_in_bounds
+from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, bin_into_tiles
 from caster.kernels.triangles import Triangles
 from caster.rendering.ray_tiles import placed_kinds
 from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count, unwritten_array
@@ -45,14 +44,6 @@ class BinnedKind:
         """(n,) bool: the primitives of any tile."""
         x_start, y_start, x_stop, y_stop = self.bounds.pixels.T
         return (x_start < x_stop) & (y_start < y_stop)
-
-
-def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool) -> Iterator[Command]:
-    """Commands that cast a tile at its primitives."""
-    for k, it in enumerate(kinds):
-        at = kind_numbers(k)
-        about = it.kind.prims, it.order, at.run, it.bounds, it.base, BOX, tile, shares_origin
-        yield command(cast_in_bounds, *about, when=at.present)
 
 
 PIECES_PER_THREAD = 32  # few enough that Python code does not count, enough to share the work evenly
@@ -89,13 +80,13 @@ def bin_kinds(
     packed: Packed, camera: Any, window: Window, origin: float, threads: int | None = None
 ) -> list[BinnedKind]:
     """Sort all primitives into tiles. origin: the largest |coordinate| of a camera ray's origin."""
-    rectilinear = implements(project, type(camera)) and not implements(distortion_bound, type(camera))
+    rectilinear = not implements(distortion_bound, type(camera))
 
     def sort(kind: Kind, base: int) -> BinnedKind:
         slack = BOX_PADDING * (origin + kind.extent) if kind.bounded else 0.0
         reach, number, triangles = (slack, PROJECTION_MARGIN), len(kind.ids), isinstance(kind.prims, Triangles)
         spheres = implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera))
-        points, corners = NO_HULLS if spheres else hulls_of(kind.prims, number)
+        points, corners = (np.empty((0, 3)), NO_FACES) if spheres else hulls_of(kind.prims, number)
         pixels, near = unwritten_array((number, 4), np.int32), unwritten_array((number,), np.float64)
         projected = unwritten_array((len(points), 4), np.float64)
         # a rectilinear camera keeps edges straight
@@ -116,7 +107,6 @@ def bin_kinds(
 
 
 NO_FACES = np.empty((0, 3), np.int32)
-NO_HULLS = Hulls(np.empty((0, 3)), NO_FACES)
 
 
 def _bin_into_tiles(

@@ -3,18 +3,15 @@
 Whether that is faster is estimated from a sample of the rays. The hits have the same bits as those of single rays.
 """
 
-from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from caster.description.transform import dot_rows, row_lengths
+from caster.description.transform import row_lengths
 from caster.geometry.packing import Packed
-from caster.kernels.bvh.fans import FAN_LIMIT, Fan
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import HEIGHT, PIXELS, WIDTH, tile_boxes
-from caster.kernels.surface.lighting import PointLight
+from caster.kernels.surface.lighting import NOWHERE, PointLight
 from caster.rendering.bvh_construction import uses_bvh, vec3
 from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, numbers_between
 
@@ -27,12 +24,6 @@ def sampled(rays: Rays, count: int) -> Rays:
     """At most so many of the rays, evenly spread, without those that are none."""
     rows = np.unique(np.linspace(0, len(rays.t_min) - 1, count).astype(np.int64))
     return rays.take(rows[rays.t_max[rows] >= 0.0])
-
-
-def common_origin(rays: Rays) -> np.ndarray | None:
-    """The origin that a sample of the rays shares; None if they share none, or too few are rays at all."""
-    some = sampled(rays, SAMPLED_RAYS)
-    return some.o[0] if len(some.o) >= SAMPLED_RAYS // 2 and (some.o == some.o[0]).all() else None
 
 
 class RayRows(NamedTuple):
@@ -81,7 +72,7 @@ SAMPLED_DIRECTIONS = 1024  # by which it is estimated how many rays lead to some
 MIN_SHARE_IN_VIEW = 0.15
 
 
-def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> Iterator[RayTiles] | None:
+def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> RayTiles | None:
     """The tiles of rays that start at one point and sweep row by row, if fans are faster for them; else None.
 
     Enough rays have to lead to primitives with a BVH.
@@ -89,45 +80,32 @@ def fan_tiles(packed: Packed, rays: Rays, threads: int | None) -> Iterator[RayTi
     count = len(rays.t_min)
     if count < MIN_RAYS_IN_ROWS or not any(uses_bvh(kind) for kind in packed.kinds):
         return None
-    origin = common_origin(rays)
-    if origin is None or (rows := find_rows(rays)) is None:
+    origins = sampled(rays, SAMPLED_RAYS).o
+    if len(origins) < SAMPLED_RAYS // 2 or (origins != origins[0]).any() or (rows := find_rows(rays)) is None:
         return None
     few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
-    caster = TileCaster(packed, any_hit=False, light=PointLight(vec3(origin), NO_INTENSITY), rays=few)
+    caster = TileCaster(packed, any_hit=False, light=PointLight(vec3(origins[0]), NOWHERE), rays=few)
     if not caster.fans:
         return None
-    some = sampled(rays, SAMPLED_DIRECTIONS)
-    points = project_directions(caster.fans[0], some.d)
-    if not len(points):
-        return None
     caster.prepare(threads)
-    if len(points) / len(some.d) * caster.share_in_view(points) < MIN_SHARE_IN_VIEW:
+    if caster.share_in_view(sampled(rays, SAMPLED_DIRECTIONS).d) < MIN_SHARE_IN_VIEW:
         return None
     return _tiles_in_rows(caster, count, rows)
 
 
-NO_INTENSITY = 0.0, 0.0, 0.0
-
-
-def project_directions(fan: Fan, d: np.ndarray) -> np.ndarray:
-    """(m, 2): x, y in the projection of a fan, of the directions (n, 3) that lie within it."""
-    x, y, depth = (dot_rows(d, np.array(axis)) for axis in (fan.across, fan.up, fan.forward))
-    there = (depth > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= FAN_LIMIT * depth)
-    return np.stack([x[there], y[there]], axis=1) / depth[there, None]
-
-
-def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> Iterator[RayTiles]:
+def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> RayTiles:
     """Tiles of rays that lie beside and below each other, and those of the rays before and behind the whole rows."""
     first, width, height = rows
     grid = np.arange(HEIGHT, dtype=np.int32)[:, None] * np.int32(width) + np.arange(WIDTH, dtype=np.int32)
 
-    def numbers_in_box(piece: Piece) -> np.ndarray:
+    def numbers_of(piece: Piece) -> np.ndarray:
+        if len(piece) == 2:
+            return numbers_between(WIDTH, piece)
         x0, y0, x1, y1 = piece
         numbers = grid[: y1 - y0] + np.int32(first + y0 * width + x0)
         numbers[:, x1 - x0 :] = -1
         return numbers.reshape(-1)
 
-    yield RayTiles(caster, list(tile_boxes(width, height)), numbers_in_box)
     ends = [(0, first), (first + width * height, count)]
     rest = [(i, min(i + PIXELS, stop)) for start, stop in ends for i in range(start, stop, PIXELS)]
-    yield RayTiles(caster, rest, partial(numbers_between, WIDTH))
+    return RayTiles(caster, [*tile_boxes(width, height), *rest], numbers_of)

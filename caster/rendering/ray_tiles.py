@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.transform import dot_rows
 from caster.geometry.packing import Kind, Packed
 from caster.jit.command_list import Command, CommandList, Condition, command
 from caster.jit.simd import CHILDREN, LANES
@@ -16,6 +17,7 @@ from caster.kernels.bvh.build import STACK_SIZE
 from caster.kernels.bvh.fans import (
     BLOCKS,
     BOX_SIZE,
+    FAN_LIMIT,
     GROUPS,
     ROWS,
     Fan,
@@ -27,35 +29,21 @@ from caster.kernels.bvh.fans import (
 )
 from caster.kernels.bvh.traversal import cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import COUNT, LINES, PIXELS, TILE_NUMBERS, WIDTH, load_rays, new_lanes, new_tile
+from caster.kernels.raster.tile import COUNT, LINES, PIXELS, TILE_NUMBERS, WIDTH, new_lanes, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.kernels.surface.per_hit import SURFACE_SIZE
 from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, uses_bvh
-from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for_pieces, thread_count, unwritten_array
+from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, thread_count, unwritten_array
 
 # To wake a second thread takes as long as so many rays, about.
 MIN_RAYS_PER_THREAD = 256
 
-UsesTree = Callable[[Kind], bool]
 Place = tuple[Kind, int]  # a kind, and the place of its first primitive
 
 ALL_PACKETS = np.empty(0, np.int64)  # none is left out; of the type of RayGroups.taken
 
 
-def kind_command(
-    kind: Kind, base: int, tile: np.ndarray, tree: bool, any_hit: bool = False, when: Condition | None = None
-) -> Command:
-    """Casts the first rays of a tile at a kind, through its tree or at all of its primitives."""
-    if tree:
-        about = kind.prims, bvh_of(kind), base, COUNT, tile, ALL_PACKETS, new_workspace(), any_hit
-        return command(cast_packets, *about, when=when)
-    return command(cast_packets_brute_force, kind.prims, len(kind.ids), base, COUNT, tile, any_hit, when=when)
-
-
-Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
-def new_workspace() -> Workspace:
+def new_workspace() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The stack of a traversal, where its boxes are entered, and where the boxes of a node are."""
     return np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN)
 
@@ -77,20 +65,21 @@ class TileCaster:
         packed: Packed,
         *,
         any_hit: bool,
-        uses_tree: UsesTree = uses_bvh,
+        uses_tree: Callable[[Kind], bool] = uses_bvh,
         light: PointLight | DirectionalLight | None = None,
         rays: int = 0,
     ) -> None:
         most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE)) if light is not None else -1
         self._any_hit = any_hit
         self.fans: list[Fan] = []  # that of most rays first; none without a kind to cast at as a fan
-        self._without_trees: list[Place] = []
-        self._kinds: list[Place] = []
-        self._too_many: list[Place] = []
+        self._kinds: list[Place] = []  # that are cast at as fans
+        self._others: list[tuple[Kind, int, bool]] = []  # and whether through their trees
         for kind, base in placed_kinds(packed):
-            few = len(kind.ids) <= most
-            places = (self._kinds if few else self._too_many) if uses_tree(kind) else self._without_trees
-            places.append((kind, base))
+            tree = uses_tree(kind)
+            if tree and len(kind.ids) <= most:
+                self._kinds.append((kind, base))
+            else:
+                self._others.append((kind, base, tree))
         if light is not None and self._kinds:
             center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
             extent = max(kind.extent for kind, _ in self._kinds)
@@ -98,15 +87,18 @@ class TileCaster:
         self._bounds: dict[tuple[int, int], FanBounds] = {}
         self._lock = threading.Lock()
 
-    def share_in_view(self, points: np.ndarray) -> float:
-        """The share of points (m, 2) of the first projection in boxes of a tree's root, once that is prepared."""
-        covered, (x, y) = np.zeros(len(points), bool), points.T[:, :, None]
+    def share_in_view(self, d: np.ndarray) -> float:
+        """The share of directions (n, 3) that lead, in the first fan, into boxes of a tree's root; after `prepare`."""
+        fan = self.fans[0]
+        x, y, depth = (dot_rows(d, np.array(axis))[:, None] for axis in (fan.across, fan.up, fan.forward))
+        ahead = (depth > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= FAN_LIMIT * depth)
+        depth = np.where(ahead, depth, 1.0)
+        x, y, inside = x / depth, y / depth, np.zeros((len(d), CHILDREN), bool)
         for n in range(len(self._kinds)):
-            left, right, low, high = (
-                self._bounds[0, n].nodes[: 4 * CHILDREN].reshape(4, CHILDREN)
-            )  # right, high: negative
-            covered |= ((x >= left) & (x <= -right) & (y >= low) & (y <= -high)).any(axis=1)
-        return float(covered.mean())
+            # the largest x and y are negated
+            left, right, low, high = self._bounds[0, n].nodes[: 4 * CHILDREN].reshape(4, CHILDREN)
+            inside |= (x >= left) & (x <= -right) & (y >= low) & (y <= -high)
+        return float((inside & ahead).any(axis=1).mean())
 
     def prepare(self, threads: int | None) -> None:
         """Project all kinds for the first fan, on all threads."""
@@ -126,12 +118,17 @@ class TileCaster:
 
     def commands(self, tile: np.ndarray, groups: RayGroups, when: Condition | None = None) -> Iterator[Command]:
         """Cast the first rays of this tile."""
-        yield from (kind_command(kind, base, tile, False, self._any_hit, when) for kind, base in self._without_trees)
+        for kind, base, tree in self._others:
+            if tree:
+                about = kind.prims, bvh_of(kind), base, COUNT, tile, ALL_PACKETS, new_workspace(), self._any_hit
+                yield command(cast_packets, *about, when=when)
+            else:
+                whole = kind.prims, len(kind.ids), base, COUNT, tile, self._any_hit
+                yield command(cast_packets_brute_force, *whole, when=when)
         if self.fans:
             yield command(begin_groups, groups)
             yield from self._fan_commands(0, tile, groups, when)
             yield Command(self._other_fans(tile, groups), (COUNT,), (groups.counts, 1))
-        yield from (kind_command(kind, base, tile, True, self._any_hit, when) for kind, base in self._too_many)
 
     def _fan_commands(
         self, number: int, tile: np.ndarray, groups: RayGroups, when: Condition | None = None
@@ -180,33 +177,13 @@ class RayTiles(NamedTuple):
     # the ray at each place of a piece's tile, (m,) int32, -1 for none; m a multiple of LANES, for fans of WIDTH
     numbers: Callable[[Piece], np.ndarray]
 
-    def cast(self, rays: Rays, store: Callable[[np.ndarray, np.ndarray], None], threads: int | None) -> None:
-        """store(tile, numbers) keeps the answers of each tile."""
-        self.caster.prepare(threads)
 
-        def begin() -> Callable[[Piece], None]:
-            workspace = TileWorkspace()
-            tile = workspace.tile
-            cast = self.caster.begin(tile, workspace.ray_groups)
-
-            def work(piece: Piece) -> None:
-                numbers = self.numbers(piece)
-                load_rays(rays, numbers, tile)
-                cast(len(numbers))
-                store(tile, numbers)
-
-            return work
-
-        parallel_for_pieces(begin, self.pieces, min(thread_count(threads), len(self.pieces)))
-
-
-def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> Iterator[RayTiles]:
+def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> RayTiles:
     """Rays of an array in their order."""
     count = len(rays.t_min)
     workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
     tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
-
-    yield RayTiles(caster, even_pieces(0, count, tiles), partial(numbers_between, LANES))
+    return RayTiles(caster, even_pieces(0, count, tiles), partial(numbers_between, LANES))
 
 
 def numbers_between(multiple: int, ends: Piece) -> np.ndarray:

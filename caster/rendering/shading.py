@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME, kernel_of
+from caster.aovs import BY_NAME, KERNELS
 from caster.geometry.packing import Packed
 from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays
@@ -35,26 +35,13 @@ from caster.kernels.raster.tile import (
     kind_numbers,
 )
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
-from caster.kernels.surface.per_hit import (
-    NO_IDS,
-    PrimitiveIds,
-    flip_normals_in_tile,
-    new_surface_buffer,
-    surfaces_in_tile,
-    write_aov,
-)
+from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, flip_normals_in_tile, surfaces_in_tile, write_aov
 from caster.kernels.surface.texturing import textures_in_tile
 from caster.rendering.casting import exact_nearest
-from caster.rendering.plan import Plan
 from caster.rendering.ray_tiles import TileCaster, TileWorkspace, placed_kinds
 from caster.rendering.threads import unwritten_array
-from caster.scene.model import Material, Scene
+from caster.scene.model import Scene
 from caster.scene.textures import texture_arrays
-
-NO_START = np.empty((0, 0))
-
-# For AOVs that read no field of it.
-UNUSED_SURFACE = new_surface_buffer()
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -68,25 +55,20 @@ def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray
 class TileShader:
     """Writes the AOVs of tiles whose rays and nearest hits are known.
 
-    images: by AOV, uninitialised. start: (h, w) the t from which depth counts. exact_shadows: whether uncertain shadows
-    are decided at once; otherwise their pixels become UNCERTAIN.
+    images: by AOV, uninitialised. of_rays: the tiles are those of an array of rays, whose depth counts from T_MIN, and
+    uncertain shadows are decided at once; otherwise depth counts from 0, and their pixels become UNCERTAIN.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        packed: Packed,
-        plan: Plan,
-        images: Mapping[str, np.ndarray],
-        *,
-        start: np.ndarray = NO_START,
-        exact_shadows: bool = False,
+        self, scene: Scene, packed: Packed, images: Mapping[str, np.ndarray], *, of_rays: bool = False
     ) -> None:
-        self.images, self.start = images, start
-        self._packed, self._plan, self._exact = packed, plan, exact_shadows
-        self._ids = _primitive_ids(packed, plan.needs)
-        shaded = packed.kinds and plan.needs & {"albedo", "radiance"}
-        self._materials = material_tables(scene, packed) if shaded else None
+        self.images, self._packed, self._of_rays = images, packed, of_rays
+        needs = {field for name in images for field in BY_NAME[name].NEEDS}
+        self._ids = NO_IDS
+        if packed.kinds and needs & {"shape_id", "prim_id"}:
+            self._ids = PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
+        shaded = packed.kinds and needs & {"albedo", "radiance"}
+        self._materials = material_tables(scene) if shaded else None
         self._textures = None
         if shaded and any(scene.textures):
             derived = packed.kinds[0].derived  # goes with the packed numbers
@@ -94,13 +76,21 @@ class TileShader:
                 derived["textures"] = texture_arrays(scene.textures, packed)
             self._textures = derived["textures"]
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
-        lights = scene.lights if "radiance" in plan.needs and packed.kinds else ()
+        lights = scene.lights if "radiance" in needs and packed.kinds else ()
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
         self._lights: list[tuple[Any, TileCaster | None]] = []  # and the casters of their shadow rays
         for light in (each.pack() for each in lights if each.type != "ambient"):
-            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if plan.shadows.runs else None
+            caster = TileCaster(packed, any_hit=True, light=light, rays=pixels) if scene.shading.shadows else None
             self._lights.append((light, caster))
         self._ambient = np.array([light.radiance for light in lights if light.type == "ambient"]).reshape(-1, 3)
+        # what is computed of each hit's surface: NORMALS, SURFACES or SURFACES_WITH_UV; None: nothing
+        self.surfaces: int | None = None
+        if self._textures is not None or "uv" in needs:
+            self.surfaces = SURFACES_WITH_UV
+        elif self._lights or needs & {"position", "shading_normal"}:
+            self.surfaces = SURFACES
+        elif "normal" in needs:
+            self.surfaces = NORMALS
 
     @property
     def shadow_rays(self) -> int:
@@ -115,20 +105,18 @@ class TileShader:
 
     def commands(self, ws: TileWorkspace) -> Iterator[Command]:
         """Commands that write the AOVs of tiles in a workspace."""
-        packed, plan = self._packed, self._plan
+        packed = self._packed
         if not packed.kinds:
             yield from self.miss_commands()
             return
-        if plan.surfaces:
-            wants = SURFACES if "position" in plan.surfaces else NORMALS
-            wants = SURFACES_WITH_UV if "uv" in plan.surfaces else wants
+        if self.surfaces is not None:
             for k, (kind, first) in enumerate(placed_kinds(packed)):
                 about = kind.prims, (first, first + len(kind.ids)), ws.tile, BOX, ws.surface, ws.lanes
-                yield command(surfaces_in_tile, *about, wants, when=kind_numbers(k).present)
+                yield command(surfaces_in_tile, *about, self.surfaces, when=kind_numbers(k).present)
             if packed.flipped is not None:
                 yield command(flip_normals_in_tile, ws.tile, BOX, packed.flipped[packed.prim_shapes], ws.surface)
         if self._materials is not None:
-            yield command(materials_in_tile, ws.tile, BOX, *self._materials, ws.surface)
+            yield command(materials_in_tile, ws.tile, BOX, packed.prim_shapes, *self._materials, ws.surface)
         if self._textures is not None:
             yield command(textures_in_tile, ws.tile, BOX, packed.prim_shapes, self._textures, ws.surface)
         for light, caster in self._lights:
@@ -136,8 +124,7 @@ class TileShader:
         if len(self._ambient):
             yield command(add_ambient, ws.tile, BOX, ws.surface, self._ambient)
         for name, image in self.images.items():
-            surface = UNUSED_SURFACE if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"} else ws.surface
-            yield command(write_aov, kernel_of(name), ws.tile, BOX, surface, self._ids, self.start, image)
+            yield command(write_aov, KERNELS[name], ws.tile, BOX, ws.surface, self._ids, self._of_rays, image)
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""
@@ -159,7 +146,7 @@ class TileShader:
         if caster is not None:
             self._shadow_rays.append(total)
             yield from caster.commands(ws.shadow_tile, ws.ray_groups, any_ray)
-            if self._exact:
+            if self._of_rays:
                 yield Command(partial(decide_shadows, packed, ws.shadow_tile), (COUNT,), any_ray)
         yield command(add_light, ws.tile, BOX, ws.surface, ws.shadow_tile, when=any_ray)
 
@@ -178,24 +165,8 @@ def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
         values(UNCERTAIN)[rows] = 0.0
 
 
-def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
-    if not packed.kinds or not needs & {"shape_id", "prim_id"}:
-        return NO_IDS
-    return PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
-
-
-def distinct_materials(scene: Scene) -> tuple[list[Material], np.ndarray]:
-    """(distinct materials, (shapes,) int32 number of each shape's material)."""
-    named = {shape.material: scene.material_of(shape) for shape in scene.shapes}
-    found = {(*material.color, material.two_sided): material for material in named.values()}
-    rows = {key: row for row, key in enumerate(found)}
-    row_of = {name: rows[(*each.color, each.two_sided)] for name, each in named.items()}
-    return list(found.values()), np.array([row_of[shape.material] for shape in scene.shapes], np.int32)
-
-
-def material_tables(scene: Scene, packed: Packed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(material of each primitive, reflectance (n, 3) of the materials, whether both sides of each are lit (n,))."""
-    materials, of_shapes = distinct_materials(scene)
-    of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
+def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """(reflectance (n, 3), whether both sides are lit (n,)) of each shape."""
+    materials = [scene.material_of(shape) for shape in scene.shapes]
     reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
-    return of_prims, reflectance, np.array([material.two_sided for material in materials], bool)
+    return reflectance, np.array([material.two_sided for material in materials], bool)

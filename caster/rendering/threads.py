@@ -123,17 +123,14 @@ def unwritten_array(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if size < MIN_SPARE_BYTES:
         return np.empty(shape, dtype)
-    block = _take_block(size)
+    for key, block in list(_SPARE_BLOCKS.items()):
+        if block.nbytes == size and _SPARE_BLOCKS.pop(key, None) is not None:  # else another thread took it
+            break
+    else:
+        block = np.empty(size, np.uint8)
     owner = (ctypes.c_char * size).from_address(block.ctypes.data)
     weakref.finalize(owner, _give_back_block, block).atexit = False
     return np.frombuffer(owner, dtype).reshape(shape)
-
-
-def _take_block(size: int) -> np.ndarray:
-    for key, block in list(_SPARE_BLOCKS.items()):
-        if block.nbytes == size and _SPARE_BLOCKS.pop(key, None) is not None:  # else another thread took it
-            return block
-    return np.empty(size, np.uint8)
 
 
 def _give_back_block(block: np.ndarray) -> None:

@@ -15,12 +15,11 @@ from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
-from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_any
+from caster.kernels.raster.tile import WIDTH, new_tile
+from caster.rendering.casting import BVH_MIN_RAYS, Culling, cast_tiles, exact_nearest, find_any
 from caster.rendering.hits import validated_rays
-from caster.rendering.images import DEFAULT_AOVS, render_film
-from caster.rendering.plan import culling_for
-from caster.rendering.ray_tiles import TileCaster, TileWorkspace
+from caster.rendering.images import DEFAULT_AOVS, culling_for, render_film
+from caster.rendering.ray_tiles import TileCaster, tiles_in_order
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Diffuse, Directional, Point, Scene
 from caster.scene.textures import Checkerboard
@@ -52,21 +51,17 @@ def warm_up(scenes: Iterable[Scene]) -> WarmUpCounts:
     log = COMPILATION_LOG
     compiled, loaded = len(log.compiled), len(log.loaded)
     for scene in scenes:
-        _warm_one(scene)
+        small = scene.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE, crop=None)
+        planned = culling_for(small.camera.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))
+        for culling in get_args(Culling):
+            if culling != "raster" or planned == "raster":
+                for aovs in WARM_UP_AOV_SETS:
+                    render_film(small, aovs, threads=1, culling=culling)
+        render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
+        for trees in (True, False):
+            warm_decisions(small, BVH_MIN_RAYS + 1, trees)
+        _warm_rays(packed(small))
     return WarmUpCounts(len(log.compiled) - compiled, len(log.loaded) - loaded)
-
-
-def _warm_one(scene: Scene) -> None:
-    small = scene.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE, crop=None)
-    planned = culling_for(small.camera.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0]
-    for culling in get_args(Culling):
-        if culling != "raster" or planned == "raster":
-            for aovs in WARM_UP_AOV_SETS:
-                render_film(small, aovs, threads=1, culling=culling)
-    render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
-    for trees in (True, False):
-        warm_decisions(small, BVH_MIN_RAYS + 1, trees)
-    _warm_rays(packed(small))
 
 
 def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
@@ -122,13 +117,12 @@ def _warm_rays(packed: Packed) -> None:
     """
     o = np.zeros((WIDTH, 3))
     o[LANES:] = 2.0**100
-    rays, tile = validated_rays(o, np.ones((WIDTH, 3)), 0.0, 1.0), new_tile()
+    rays = validated_rays(o, np.ones((WIDTH, 3)), 0.0, 1.0)
     find_any(packed, rays, threads=1)
-    load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile)
     caster = TileCaster(packed, any_hit=True, light=LAMPS[0].pack(), rays=MAX_PRIMITIVES)
-    caster.begin(tile, TileWorkspace().ray_groups)(WIDTH)
+    cast_tiles(packed, rays, tiles_in_order(caster, rays, 1), 1)
     for kind in packed.kinds:
-        cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
+        cast_packets_brute_force(kind.prims, 1, 0, WIDTH, new_tile(), True)
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

@@ -18,24 +18,22 @@ BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 def format_toml(data: Mapping[str, Any]) -> str:
     """TOML of the tables of a scene; floats round-trip exactly."""
-    return "\n".join(line for name in SECTION_ORDER if name in data for line in _tables(name, data[name]))
+    lines = []
+    for header, values in _tables(data):
+        lines += [header, *(f"{_key(key)} = {_value(value)}" for key, value in values.items()), ""]
+    return "\n".join(lines)
 
 
-def _tables(name: str, value: Any) -> Iterator[str]:
-    if not isinstance(value, Mapping):
-        for part in value:
-            yield from _section(f"[[{name}]]", part)
-    elif value and all(isinstance(part, Mapping) for part in value.values()):
-        for key, part in value.items():
-            yield from _section(f"[{name}.{_key(key)}]", part)
-    else:
-        yield from _section(f"[{name}]", value)
-
-
-def _section(header: str, values: Mapping[str, Any]) -> Iterator[str]:
-    yield header
-    yield from (f"{_key(key)} = {_value(value)}" for key, value in values.items())
-    yield ""
+def _tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """(header, keys with their values) of each table."""
+    for name in SECTION_ORDER:
+        value = data.get(name, ())
+        if not isinstance(value, Mapping):
+            yield from ((f"[[{name}]]", part) for part in value)
+        elif value and all(isinstance(part, Mapping) for part in value.values()):
+            yield from ((f"[{name}.{_key(key)}]", part) for key, part in value.items())
+        else:
+            yield f"[{name}]", value
 
 
 def _key(key: str) -> str:
@@ -70,7 +68,8 @@ def fingerprint(scene: BaseModel) -> str:
     """SHA-256 of the canonical JSON, with each mesh or picture file replaced by the SHA-256 of its bytes."""
     data = scene.model_dump(by_alias=True, exclude_none=True)
     for element in _with_files(data):
-        element["file"] = _sha256_of(element["file"])
+        with opened_input(element["file"], "mesh file") as stream:
+            element["file"] = "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()
     return hashlib.sha256(_sorted_json(data).encode()).hexdigest()
 
 
@@ -97,8 +96,3 @@ def _with_files(data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 def _sorted_json(data: Any) -> str:
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def _sha256_of(file: str) -> str:
-    with opened_input(file, "mesh file") as stream:
-        return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()

@@ -8,28 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from caster.cameras.pinhole import Pinhole
-from caster.description.errors import Diagnostic, SceneError, diagnostics_of
+from caster.description.errors import SceneError
 from caster.description.input_files import read_text
-from caster.description.parsing import Positions, located_error, parse
+from caster.description.parsing import model_of_text
 from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
 from caster.scene.model import Ambient, Diffuse, Directional, Scene
 from caster.shapes.mesh import Mesh
 
-__all__ = ["load_scene", "mesh_scene", "validated"]
-
-
-def validated(data: Any, folders: MeshFolders) -> tuple[Scene | None, list[Diagnostic]]:
-    """Validate parsed data with its meshes: the scene, or None and the diagnostics of all errors."""
-    try:
-        scene = Scene.model_validate(data, context=folders)
-    except ValidationError as error:
-        return None, diagnostics_of(error, data, Scene)
-    scene._folder = folders.folder.resolve()
-    return scene, []
+__all__ = ["load_scene", "mesh_scene"]
 
 
 SCENE_SUFFIXES = (".toml", ".json")
@@ -102,14 +91,7 @@ def scene_from_text(
     mesh_dirs: Iterable[str | PathLike[str]] = (),
 ) -> Scene:
     """A scene from the text of a scene file. origin: its name in errors; folder: of relative mesh paths."""
-    try:
-        data = parse(text, kind, origin)
-        scene, problems = validated(data, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))
-        if scene is None:
-            raise located_error(problems, Positions(text, kind).of, text, origin)
-    except RecursionError:
-        raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
-    return scene
+    return model_of_text(Scene, text, kind, origin, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))
 
 
 def scene_schema() -> dict[str, Any]:

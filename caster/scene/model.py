@@ -1,16 +1,25 @@
 """The scene model: lights, materials, film, shading, checks, and validation across elements."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS, Ray
-from caster.description import fields
 from caster.description.errors import (
     CROSS_ELEMENT_ERROR,
     PLURAL,
@@ -22,7 +31,7 @@ from caster.description.errors import (
     field_error,
     format_value,
     suggestion,
-    value_diagnostic,
+    value_message,
 )
 from caster.description.fields import (
     RGB,
@@ -61,7 +70,7 @@ __all__ = [
 # ---- lights and materials ----
 
 
-class Point(fields.Light):
+class Point(Description):
     """An isotropic point light. `intensity` in power per solid angle (W/sr)."""
 
     type: Literal["point"] = "point"
@@ -72,7 +81,7 @@ class Point(fields.Light):
         return PointLight(self.position, self.intensity)
 
 
-class Directional(fields.Light):
+class Directional(Description):
     """Parallel light along `direction`; a perpendicular surface receives `irradiance` (W/m^2)."""
 
     type: Literal["directional"] = "directional"
@@ -84,7 +93,7 @@ class Directional(fields.Light):
         return DirectionalLight((0.0 - x, 0.0 - y, 0.0 - z), self.irradiance)
 
 
-class Ambient(fields.Light):
+class Ambient(Description):
     """Constant `radiance` from all directions (W/(m^2 sr)), without shadows."""
 
     type: Literal["ambient"] = "ambient"
@@ -138,7 +147,6 @@ class Glass(Specular):
 
 
 Material = Diffuse | Mirror | Glass
-MATERIALS = (Diffuse, Mirror, Glass)
 DEFAULT_MATERIAL = Diffuse()
 
 
@@ -197,7 +205,6 @@ def _is_aov(name: str) -> str:
 
 
 AovName = Annotated[str, AfterValidator(_is_aov)]
-Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name
 
 
 def _elements(data: Any, key: str) -> tuple[str, Any]:
@@ -206,40 +213,15 @@ def _elements(data: Any, key: str) -> tuple[str, Any]:
     return spelled, child_of(data, spelled)
 
 
-def _texts(data: Any, key: str) -> Iterator[tuple[DataPath, str]]:
-    """(path, value) of a key of each shape; "" if the value is not a string."""
-    spelled, shapes = _elements(data, "shape")
-    for i, shape in enumerate(shapes if isinstance(shapes, (list, tuple)) else ()):
-        value = child_of(shape, key)
-        yield (spelled, i, key), value if isinstance(value, str) else ""
-
-
-def _unknown_materials(data: Any) -> Findings:
-    table = _elements(data, "material")[1]
-    known = [str(name) for name in table] if isinstance(table, Mapping) else []
-    for path, material in _texts(data, "material"):
-        if material and material not in known:
-            hint = suggestion(material, known) or f"; add a table [material.{material}]"
-            yield path, f"must be one of the materials of this scene, got {format_value(material)}{hint}"
-
-
-def _repeated_names(data: Any) -> Findings:
-    first: dict[str, int] = {}
-    for i, (path, own) in enumerate(_texts(data, "name")):
-        name = own or f"shape-{i}"
-        if name in first:
-            yield path, f"must differ from that of shapes[{first[name]}], got {format_value(name)} again"
-        first.setdefault(name, i)
+def _unknown_material(path: DataPath, material: str, known: Iterable[str], data: Any, model: type[Description]) -> str:
+    hint = suggestion(material, known) or f"; add a table [material.{material}]"
+    text = f"must be one of the materials of this scene, got {format_value(material)}{hint}"
+    return value_message(path, text, data, model)
 
 
 def one_of(registry: Sequence[type[Description]]) -> Any:
     """Field type for one of these descriptions, discriminated by `type`."""
     return Annotated[Union[tuple(registry)], Field(discriminator="type")]  # noqa: UP007 - a tuple has no |
-
-
-def _with_type(material: Any) -> Any:
-    """A material without a type is diffuse."""
-    return {"type": "diffuse", **material} if isinstance(material, Mapping) else material
 
 
 if TYPE_CHECKING:
@@ -249,7 +231,10 @@ if TYPE_CHECKING:
     AnyMaterial: TypeAlias = Material
 else:
     AnyShape, AnyCamera, AnyLight = one_of(SHAPES), one_of(CAMERAS), one_of(LIGHTS)
-    AnyMaterial = Annotated[one_of(MATERIALS), BeforeValidator(_with_type)]
+    AnyMaterial = Annotated[
+        Annotated[Material, Field(discriminator="type")],
+        BeforeValidator(lambda value: {"type": "diffuse", **value} if isinstance(value, Mapping) else value),
+    ]
 
 
 class Scene(Description):
@@ -289,18 +274,12 @@ class Scene(Description):
             checks: Mapping[str, Check] = ...,
         ) -> None: ...
 
-    @field_validator("lights", "shapes", mode="before")
-    @classmethod
-    def _listed(cls, value: Any) -> Any:
-        """A list; in Python, a single shape or light will do."""
-        return (value,) if isinstance(value, Description) else value
-
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        found = self.problems_across(self)
-        if found:
-            text = "\n".join(problem.text for problem in found)
-            raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": text})
+    def _fits_together(self, info: ValidationInfo) -> Self:
+        if info.context is not None:  # its MeshFolders
+            self._folder = info.context.folder.resolve()
+        if found := self.problems_across(self):
+            raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": found[0].message()})
         for i, (shape, texture) in enumerate(zip(self.shapes, self.textures, strict=True)):
             if texture is not None and (reason := texture.misfit(shape)):
                 text = f"names a material with a texture, but {reason}: give it a colour, or use another shape"
@@ -310,8 +289,22 @@ class Scene(Description):
     @classmethod
     def problems_across(cls, data: Any) -> list[Diagnostic]:
         """Errors across elements of a Scene, or of the input data of one, which may have other errors."""
-        found = (*_unknown_materials(data), *_repeated_names(data))
-        return [value_diagnostic(path, text, data, cls) for path, text in found]
+        spelled, shapes = _elements(data, "shape")
+        _, table = _elements(data, "material")
+        known = {str(name) for name in table} if isinstance(table, Mapping) else set[str]()
+        first: dict[str, int] = {}
+        unknown, repeated = [], []
+        for i, shape in enumerate(shapes if isinstance(shapes, (list, tuple)) else ()):
+            material, name = child_of(shape, "material"), child_of(shape, "name")
+            if isinstance(material, str) and material and material not in known:
+                path: DataPath = (spelled, i, "material")
+                unknown.append(Diagnostic(path, partial(_unknown_material, path, material, known, data, cls)))
+            name = name if isinstance(name, str) and name else f"shape-{i}"
+            if first.setdefault(name, i) != i:
+                text = f"must differ from that of shapes[{first[name]}], got {format_value(name)} again"
+                path = (spelled, i, "name")
+                repeated.append(Diagnostic(path, partial(value_message, path, text, data, cls)))
+        return [*unknown, *repeated]
 
     @property
     def derived(self) -> dict[str, Any]:

@@ -3,14 +3,14 @@
 import io
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, PlainSerializer, Tag, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import AfterValidator, Discriminator, Tag
 
 from caster.description.errors import SceneError, child_of
-from caster.description.fields import ArrayOf, Description, FixedArray, Flag, Reflectance, Shape, Transform, matrix_of
+from caster.description.fields import ArrayOf, Description, Flag, Reflectance, Shape, Transform, exactly_one, matrix_of
 from caster.description.input_files import read_input
 from caster.description.transform import dot_rows, power
 from caster.geometry.mesh_files import load_once, readable
@@ -54,10 +54,6 @@ class Picture(Texture):
     to_uv: Transform = ()
 
     @cached_property
-    def texels(self) -> NDArray[np.float64]:
-        raise NotImplementedError
-
-    @cached_property
     def uv_matrix(self) -> NDArray[np.float64]:
         """(2, 3): uv of the texture are its product with (u, v, 1)."""
         return matrix_of(self.to_uv)[:2, [0, 1, 3]]
@@ -77,31 +73,14 @@ class Checkerboard(Picture):
         return np.array([[self.color0, self.color1], [self.color1, self.color0]])
 
 
-def _as_texels(value: Any, validated: ValidatorFunctionWrapHandler) -> NDArray[np.float64]:
-    """(h, w, 3) of an array or of rows of colors."""
-    if isinstance(value, np.ndarray):
-        right = value.dtype.kind == "f" and value.ndim == 3 and value.shape[2] == 3 and value.size
-        if not right or not (value.min() >= 0.0 and value.max() <= 1.0):
-            got = f"{value.dtype}{list(value.shape)}" + (f" from {value.min()} to {value.max()}" if right else "")
-            raise ValueError(f"must be an array (h, w, 3) of float numbers from 0 to 1, got {got}")
-        rows = value
-    else:
-        rows = validated(value)
-    if len(set(map(len, rows)) - {0}) != 1:
-        raise ValueError(f"must have rows of the same number of pixels, got {sorted(map(len, rows))}")
-    texels = np.array(rows, np.float64)
-    if texels.size > 3 * MAX_TEXELS:
-        raise ValueError(f"must have at most {MAX_TEXELS:,} pixels, got {texels.shape[1]} x {texels.shape[0]}")
-    texels.flags.writeable = False
-    return texels.view(FixedArray)
+def _few_enough(texels: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not 0 < texels.size <= 3 * MAX_TEXELS:
+        raise ValueError(f"must have 1 to {MAX_TEXELS:,} pixels, got {texels.shape[1]} x {texels.shape[0]}")
+    return texels
 
 
-if TYPE_CHECKING:
-    Texels = NDArray[np.float64]
-else:
-    Texels = Annotated[
-        tuple[tuple[Reflectance, ...], ...], WrapValidator(_as_texels), PlainSerializer(np.ndarray.tolist)
-    ]
+Rows = ArrayOf(list[Reflectance])
+Texels = Annotated[NDArray[np.float64], Rows, AfterValidator(_few_enough)]  # (h, w, 3) float64
 
 
 def read_picture(path: str) -> NDArray[np.uint8]:
@@ -133,11 +112,7 @@ class Bitmap(Picture):
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     raw: Flag = False
 
-    @model_validator(mode="after")
-    def _has_one_source(self) -> Self:
-        if (self.file is None) == (self.data is None):
-            raise ValueError(f"needs either file or data, got {'both' if self.file else 'neither'}")
-        return self
+    _has_one_source = exactly_one("file", "data")
 
     @cached_property
     def texels(self) -> NDArray[np.float64]:
@@ -146,8 +121,8 @@ class Bitmap(Picture):
         picture = load_once(read_picture, self.file)
         return picture / 255.0 if self.raw else LINEAR_OF_SRGB[picture]
 
-    def as_png(self) -> "Png | None":
-        """A PNG file with 8 bits a channel of the same texels, up to float32; None where none has them."""
+    def as_png(self) -> tuple[bytes, bool] | None:
+        """(a PNG file with 8 bits a channel of the same texels, up to float32; whether it is raw), if there is one."""
         from PIL import Image  # deferred: most scenes have no picture
 
         for raw, levels in ((False, LINEAR_OF_SRGB), (True, np.arange(256) / 255.0)):
@@ -156,7 +131,7 @@ class Bitmap(Picture):
             if np.abs(levels[bytes_of] - self.texels).max() <= FLOAT32_DECODING:
                 content = io.BytesIO()
                 Image.fromarray(bytes_of.astype(np.uint8)).save(content, "PNG")
-                return Png(content.getvalue(), raw)
+                return content.getvalue(), raw
         return None
 
 
@@ -170,11 +145,7 @@ class MeshColors(Texture):
     vertices: Colors | None = None
     faces: Colors | None = None
 
-    @model_validator(mode="after")
-    def _has_one_source(self) -> Self:
-        if (self.vertices is None) == (self.faces is None):
-            raise ValueError(f"needs either vertices or faces, got {'neither' if self.faces is None else 'both'}")
-        return self
+    _has_one_source = exactly_one("vertices", "faces")
 
     def misfit(self, shape: Shape) -> str:
         mesh = getattr(shape, "mesh", None)
@@ -204,19 +175,9 @@ class MeshColors(Texture):
         return np.concatenate([a[:, None], colors[:, :1], gradients], axis=1).reshape(-1, 3)
 
 
-class Png(NamedTuple):
-    """A PNG file, and whether its numbers are linear."""
-
-    content: bytes
-    raw: bool
-
-
-def linear_of_srgb(value: float) -> float:
-    """An sRGB value from 0 to 1 as a linear one. Source: IEC 61966-2-1."""
-    return value / 12.92 if value <= 0.04045 else power((value + 0.055) / 1.055, 2.4)
-
-
-LINEAR_OF_SRGB = np.array([linear_of_srgb(byte / 255.0) for byte in range(256)])
+# The linear value of each sRGB byte. Source: IEC 61966-2-1.
+SRGB = [byte / 255.0 for byte in range(256)]
+LINEAR_OF_SRGB = np.array([x / 12.92 if x <= 0.04045 else power((x + 0.055) / 1.055, 2.4) for x in SRGB])
 
 
 if TYPE_CHECKING:

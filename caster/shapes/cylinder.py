@@ -18,11 +18,11 @@ from caster.kernels.math.angles import turn_fraction
 from caster.kernels.math.quadric_roots import (
     QuadricSetup,
     closest_approach,
-    fast_unit_normal,
+    fast_outward_normal,
     first_hit,
+    outward_normal,
     quadric_roots,
     quadric_setup,
-    unit_normal,
 )
 from caster.kernels.math.vec import (
     TINY,
@@ -94,17 +94,15 @@ class Cylinder(Shape):
 
     def pack(self, rounded: Rounding) -> Cylinders:
         center = transform_points(self.matrix, np.array([self.p0]))[0]
-        return Cylinders(*affine_arrays(center, product(self.matrix[:3, :3], self._own_axes()), rounded))
-
-    def _own_axes(self) -> np.ndarray:
-        """Columns: two radii perpendicular to the axis, and the axis; right-handed."""
         axis = np.subtract(self.p1, self.p0)
         along = normalize_rows(axis[None])[0]
         if along[0] == along[1] == 0.0 and along[2] > 0.0:
             first = np.array([1.0, 0.0, 0.0])
         else:
             first = normalize_rows(np.cross(np.eye(3)[np.argmin(np.abs(along))], along)[None])[0]
-        return np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
+        # two radii perpendicular to the axis, and the axis; right-handed
+        own = np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
+        return Cylinders(*affine_arrays(center, product(self.matrix[:3, :3], own), rounded))
 
 
 @implement(load, Cylinders)
@@ -176,7 +174,8 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> An
     """u is the angle as a fraction of a turn, v the height along the axis from 0 to 1."""
     f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
     e = mat_vec(prims.to_object, k, d)
-    x, y, _ = unit_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t)
+    across = e[0], e[1], 0.0
+    x, y, _ = outward_normal((f[0], f[1], 0.0), across, normalize(across), t, 1.0)
     z = f[2] + t * e[2]
     n = normalize(transposed_mat_vec(prims.to_object, k, (x, y, 0.0)))
     p = add(row(prims.center, k), mat_vec(prims.to_world, k, (x, y, z)))
@@ -190,7 +189,8 @@ implement(surface_setup, Cylinders)(unwrap(put_affine_lanes))
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
     f, e = rows_times_vec(m, sub(o, center)), rows_times_vec(m, d)
-    known, q = fast_unit_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t)
+    across = e[0], e[1], 0.0
+    known, q = fast_outward_normal((f[0], f[1], 0.0), across, fast_normalize(across), t, 1.0)
     long, n = fast_normalize(transposed_rows_times_vec(m, (q[0], q[1], 0.0)))
     q = q[0], q[1], f[2] + t * e[2]
     p = add(center, rows_times_vec(get_matrix(scratch, LANE_TO_WORLD + x), q))

@@ -3,7 +3,7 @@
 import inspect
 import math
 from random import Random
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,51 +20,12 @@ VERTICES_PER_CHUNK = 1 << 16  # vertices; temporaries take some 200 bytes each
 
 _series_of_arrays = inspect.unwrap(sinc_and_cos)
 
-# Periods across the square: fewer than one look flat, more than a dozen need a fine grid.
-MIN_PERIODS_ACROSS, MAX_PERIODS_ACROSS = 1.0, 12.0
+# Periods across the square: from one, since fewer look flat, to a dozen, since more need a fine grid.
+MAX_PERIODS_ACROSS = 12.0
 
-
-class _Wave(NamedTuple):
-    """The wave height * sin(kx x + ky y + phase) on a grid.
-
-    columns, rows: sines and cosines of kx x for the columns and of ky y + phase for the rows.
-    """
-
-    kx: float
-    ky: float
-    height: float
-    columns: tuple[Floats, Floats]
-    rows: tuple[Floats, Floats]
-
-
-def _draw(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> list[_Wave]:
-    """Random waves of about equal steepness: amplitudes are proportional to wavelengths and add up to `amplitude`."""
-    draw = Random(seed).random  # unlike NumPy's generators, guaranteed never to change
-    across = [MIN_PERIODS_ACROSS * power(MAX_PERIODS_ACROSS / MIN_PERIODS_ACROSS, draw()) for _ in range(waves)]
-    scale = amplitude / sum(1.0 / n for n in across)
-    place = (np.arange(resolution + 1) / resolution - 0.5) * size
-    result = []
-    for n in across:
-        k, (y, x) = 2.0 * math.pi * n / size, sine_and_cosine(2.0 * math.pi * draw())
-        phase = 2.0 * math.pi * draw()
-        columns, rows = _sines_and_cosines(k * x * place), _sines_and_cosines(k * y * place + phase)
-        result.append(_Wave(k * x, k * y, scale / n, columns, rows))
-    return result
-
-
-def _surface(waves: list[_Wave], rows: slice) -> tuple[Floats, Floats]:
-    """z and the unit normal, (-dz/dx, -dz/dy, 1) normalized, of some rows; by the sine and cosine of a sum."""
-    z, slope_x, slope_y = np.zeros((3, rows.stop - rows.start, len(waves[0].columns[0])))
-    for wave in waves:
-        sine_x, cosine_x = wave.columns
-        sine_y, cosine_y = (each[rows, None] for each in wave.rows)
-        z += wave.height * (sine_x * cosine_y + cosine_x * sine_y)
-        slope = wave.height * (cosine_x * cosine_y - sine_x * sine_y)
-        slope_x += wave.kx * slope
-        slope_y += wave.ky * slope
-    normals = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=2)
-    return z.ravel(), normalize_rows(normals.reshape(-1, 3))
-
+# A wave, height * sin(kx x + ky y + phase), on a grid: kx, ky, height, and the sines and cosines of kx x for the
+# columns and of ky y + phase for the rows.
+Wave = tuple[float, float, float, tuple[Floats, Floats], tuple[Floats, Floats]]
 
 # The quarter turn as a sum of two numbers, of which the first has so few bits that its multiples are exact.
 QUARTER_TURN = 1.5707963267341256, 6.077100506506192e-11
@@ -90,6 +51,20 @@ class Heightfield(MeshShape):
     waves: Annotated[int, Field(strict=True, ge=1, le=64)] = 8
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
+    def _drawn_waves(self) -> list[Wave]:
+        """Random waves of about equal steepness: heights are proportional to wavelengths and add up to `amplitude`."""
+        draw = Random(self.seed).random  # unlike NumPy's generators, guaranteed never to change
+        across = [power(MAX_PERIODS_ACROSS, draw()) for _ in range(self.waves)]
+        scale = self.amplitude / sum(1.0 / n for n in across)
+        place = (np.arange(self.resolution + 1) / self.resolution - 0.5) * self.size
+        waves: list[Wave] = []
+        for n in across:
+            k, (y, x) = 2.0 * math.pi * n / self.size, sine_and_cosine(2.0 * math.pi * draw())
+            phase = 2.0 * math.pi * draw()
+            columns, rows = _sines_and_cosines(k * x * place), _sines_and_cosines(k * y * place + phase)
+            waves.append((k * x, k * y, scale / n, columns, rows))
+        return waves
+
     def mesh(self) -> Mesh:
         """2 * resolution^2 faces over the square [-size/2, size/2]^2 of the plane z = 0, seen from +z.
 
@@ -97,7 +72,7 @@ class Heightfield(MeshShape):
         the exact surface's; uv runs from (0, 0) to (1, 1).
         """
         side = self.resolution + 1
-        drawn = _draw(self.size, self.resolution, self.amplitude, self.waves, self.seed)
+        drawn = self._drawn_waves()
         number = np.arange(side * side, dtype=np.int32)
         uv = np.stack([number % side, number // side], axis=1) / self.resolution
         vertices, normals = np.empty((len(uv), 3)), np.empty((len(uv), 3))
@@ -106,5 +81,13 @@ class Heightfield(MeshShape):
         for first in range(0, side, rows):  # along y
             some = slice(first, min(first + rows, side))
             band = slice(some.start * side, some.stop * side)
-            vertices[band, 2], normals[band] = _surface(drawn, some)
+            z, slope_x, slope_y = np.zeros((3, some.stop - some.start, side))
+            for kx, ky, height, (sine_x, cosine_x), of_rows in drawn:  # by the sine and cosine of a sum
+                sine_y, cosine_y = (each[some, None] for each in of_rows)
+                z += height * (sine_x * cosine_y + cosine_x * sine_y)
+                slope = height * (cosine_x * cosine_y - sine_x * sine_y)
+                slope_x += kx * slope
+                slope_y += ky * slope
+            vertices[band, 2] = z.ravel()
+            normals[band] = normalize_rows(np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=2).reshape(-1, 3))
         return Mesh(vertices, grid_faces(number.reshape(side, side)), normals, uv)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
+from caster.geometry.triangle_mesh import Mesh, normalize_rows
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Icosphere"]
@@ -28,17 +28,6 @@ FACES = """
 """
 
 
-def _split(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """Split each face in four; the two faces of an edge share its new midpoint."""
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    edges, middle = np.unique(ends, axis=0, return_inverse=True)
-    middles = normalize_rows(vertices[edges[:, 0]] + vertices[edges[:, 1]])
-    a, b, c = faces.T
-    ab, bc, ca = (len(vertices) + middle.reshape(-1, 3)).T
-    quarters = np.transpose([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)], (2, 0, 1))
-    return np.concatenate([vertices, middles]), quarters.reshape(-1, 3).astype(np.int32)
-
-
 class Icosphere(MeshShape):
     """The unit sphere, tessellated: an icosahedron subdivided `subdivisions` times."""
 
@@ -49,6 +38,12 @@ class Icosphere(MeshShape):
         """20 * 4^subdivisions faces with shared vertices; the normals are the positions. 0 gives an icosahedron."""
         vertices = normalize_rows(np.array(CORNERS))
         faces = np.array(FACES.split(), np.int32).reshape(-1, 3)
-        for _ in range(self.subdivisions):
-            vertices, faces = _split(vertices, faces)
+        for _ in range(self.subdivisions):  # each face in four; the two faces of an edge share its new midpoint
+            ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+            edges, middle = np.unique(ends, axis=0, return_inverse=True)
+            a, b, c = faces.T
+            ab, bc, ca = (len(vertices) + middle.reshape(-1, 3)).T
+            quarters = np.transpose([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)], (2, 0, 1))
+            middles = normalize_rows(vertices[edges[:, 0]] + vertices[edges[:, 1]])
+            vertices, faces = np.concatenate([vertices, middles]), quarters.reshape(-1, 3).astype(np.int32)
         return Mesh(vertices, faces, vertices.copy())

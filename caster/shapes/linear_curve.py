@@ -103,15 +103,12 @@ class LinearCurve(Shape):
         points, radii, counts = self.curves()
         linear = self.matrix[:3, :3]
         largest = np.abs(linear).max()  # a factor of two of to_world is one of radii, too
-        scale = largest * power(abs(_determinant(linear / largest)), 1.0 / 3.0)
+        a, b, c = (linear / largest).tolist()
+        determinant = sum(x * y for x, y in zip(a, cross(b, c), strict=True))
+        scale = largest * power(abs(determinant), 1.0 / 3.0)
         points, radii = rounded(transform_points(self.matrix, points)), rounded(scale * radii)
         first = np.delete(np.arange(len(points)), np.cumsum(counts) - 1)
         return RoundSegments(points[first], points[first + 1], np.stack([radii[first], radii[first + 1]], axis=1))
-
-
-def _determinant(m: np.ndarray) -> float:
-    a, b, c = m.tolist()
-    return float(sum(x * y for x, y in zip(a, cross(b, c), strict=True)))
 
 
 @implement(load, RoundSegments)

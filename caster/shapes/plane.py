@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 
-from caster.description.fields import Number, Shape, UnitVec3, Vec3
+from caster.description.fields import Number, Shape, UnitVec3, Vec3, exactly_one
 from caster.description.transform import inverse, transform_points, transform_vectors
 from caster.geometry.triangle_mesh import normalize_rows
 from caster.geometry.world_space import Rounding
-from caster.jit.decorators import implement, inlined
+from caster.jit.decorators import implement
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_plane
 from caster.kernels.math.vec import (
@@ -60,12 +59,7 @@ class Plane(Shape):
     offset: Number | None = None  # scene units
     point: Vec3 | None = None  # scene units
 
-    @model_validator(mode="after")
-    def _has_one_place(self) -> "Plane":
-        if (self.offset is None) == (self.point is None):
-            got = "both" if self.point else "neither"
-            raise ValueError(f"needs either offset or point, got {got}")
-        return self
+    _has_one_place = exactly_one("offset", "point")
 
     def without_uv(self) -> str:
         return "Mitsuba has no plane to compare it with"
@@ -113,14 +107,6 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
     return exact_plane(row(prims.normal, k), row(prims.point, k), o, d, t_min, t_max)
 
 
-@inlined
-def _axes(n: Any) -> Any:
-    """Two unit vectors across n and each other."""
-    side = (1.0, 0.0, 0.0) if abs(n[0]) < 0.5 else (0.0, 1.0, 0.0)
-    right = normalize(cross(side, n))
-    return right, cross(n, right)
-
-
 LANE_NORMAL, LANE_POINT, LANE_RIGHT, LANE_AHEAD = (LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9))
 
 
@@ -130,7 +116,9 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
     for x in range(start, stop):
         put_lane(scratch, LANE_NORMAL + x, n)
     if wants == SURFACES_WITH_UV:
-        point, (right, ahead) = row(prims.point, k), _axes(n)
+        point, side = row(prims.point, k), (1.0, 0.0, 0.0) if abs(n[0]) < 0.5 else (0.0, 1.0, 0.0)
+        right = normalize(cross(side, n))
+        ahead = cross(n, right)
         for x in range(start, stop):
             put_lane(scratch, LANE_POINT + x, point)
             put_lane(scratch, LANE_RIGHT + x, right)

@@ -7,7 +7,17 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
+from caster.description.fields import (
+    Flag,
+    Lengths,
+    LengthTriples,
+    Points,
+    Positive,
+    Quaternions,
+    Shape,
+    Vec3,
+    exactly_one,
+)
 from caster.description.transform import inverse, rotations, transform_points, transform_vectors
 from caster.geometry.mesh_files import load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
@@ -24,12 +34,10 @@ from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.kernels.math.quadric_roots import (
     closest_approach,
     fast_outward_normal,
-    fast_unit_normal,
     first_root,
     outward_normal,
     quadric_roots,
     quadric_setup,
-    unit_normal,
 )
 from caster.kernels.math.vec import (
     TO_OBJECT_SPACE_ERROR,
@@ -38,6 +46,7 @@ from caster.kernels.math.vec import (
     certain_in_range,
     cube_corner,
     fast_normalize,
+    fast_unit_direction,
     filter_result,
     l1_norm,
     mat_vec,
@@ -51,6 +60,7 @@ from caster.kernels.math.vec import (
     to_object_space,
     transposed_mat_vec,
     transposed_rows_times_vec,
+    unit_direction,
 )
 from caster.kernels.protocol import (
     exact_intersect,
@@ -136,12 +146,12 @@ class SphereCloud(Shape):
     radius: Positive | None = None  # scene units
     file: Annotated[str | None, readable(load_points)] = None
 
+    _has_one_source = exactly_one("file", "centers")
+
     @model_validator(mode="after")
-    def _has_one_source(self) -> "SphereCloud":
-        if (self.file is None) == (self.centers is None):
-            raise ValueError(f"needs either file or centers, got {'both' if self.file else 'neither'}")
-        if self.radii is not None and (self.centers is None or len(self.radii) != len(self.centers)):
-            count = 0 if self.centers is None else len(self.centers)
+    def _has_radii_once(self) -> "SphereCloud":
+        count = 0 if self.centers is None else len(self.centers)
+        if self.radii is not None and len(self.radii) != count:
             raise ValueError(f"needs as many radii as centers, got {len(self.radii)} radii and {count} centers")
         if self.radius is not None and self._given()[1] is not None:
             raise ValueError("needs either radius or radii, its own or its file's, got both")
@@ -251,7 +261,7 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center, r = load(prims, k)
-    n = outward_normal(sub(o, center), d, t, r)
+    n = outward_normal(sub(o, center), d, unit_direction(d), t, r)
     u, v = spherical_uv(mat_vec(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
     return point_at(center, r, n), n, n, u, v
 
@@ -273,7 +283,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
 @implement(fast_surface, Spheres)
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, r = get_lane(scratch, LANE_CENTER + x), scratch[LANE_RADIUS + x]
-    known, n = fast_outward_normal(sub(o, center), d, t, r)
+    known, n = fast_outward_normal(sub(o, center), d, fast_unit_direction(d), t, r)
     return known, known, point_at(center, r, n), n, n, n
 
 
@@ -335,7 +345,8 @@ def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_m
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
     f = mat_vec(prims.to_object, k, sub(o, center))
-    q = unit_normal(f, mat_vec(prims.to_object, k, d), t)
+    e = mat_vec(prims.to_object, k, d)
+    q = outward_normal(f, e, normalize(e), t, 1.0)
     n = normalize(transposed_mat_vec(prims.to_object, k, q))
     u, v = spherical_uv(q) if wants_uv else (0.0, 0.0)
     return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v
@@ -347,7 +358,8 @@ implement(surface_setup, Ellipsoids, OuterEllipsoids)(unwrap(put_affine_lanes))
 @implement(fast_surface, Ellipsoids, OuterEllipsoids)
 def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
-    known, q = fast_unit_normal(rows_times_vec(m, sub(o, center)), rows_times_vec(m, d), t)
+    e = rows_times_vec(m, d)
+    known, q = fast_outward_normal(rows_times_vec(m, sub(o, center)), e, fast_normalize(e), t, 1.0)
     long, n = fast_normalize(transposed_rows_times_vec(m, q))
     p = add(center, rows_times_vec(get_matrix(scratch, LANE_TO_WORLD + x), q))
     return known & long, known & long, p, n, n, q

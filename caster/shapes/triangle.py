@@ -29,6 +29,3 @@ class Triangle(TriangleShape):
             None if self.normals is None else np.array(self.normals, np.float64),
             None if self.uv is None else np.array(self.uv, np.float64),
         )
-
-    def is_flat(self) -> bool:
-        return self.normals is None

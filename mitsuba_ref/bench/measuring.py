@@ -1,8 +1,8 @@
-"""Timing: ray casters in processes of their own take turns, round after round."""
+"""Measuring: ray casters in processes of their own take turns, round after round; their errors to exact answers."""
 
 import json
 import math
-import os
+import pickle
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -17,32 +17,25 @@ from caster.rendering.threads import core_count
 from caster.system.atomic_files import ScratchFolder
 from caster.system.terminal import report_stage
 from mitsuba_ref.bench.casters import TimedCaster
-from mitsuba_ref.bench.drivers import AOVS, Work
-from mitsuba_ref.bench.result import Row, SceneResult
+from mitsuba_ref.bench.drivers import AOVS, DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE, CannotRun, Work
+from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
-from mitsuba_ref.bench.scoring import sampled_rows, score, write_scene
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.judge.adjudication import ExactHits
+from mitsuba_ref.error_model.scene_model import Side
+from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
+from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
+from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, run_module
+from mitsuba_ref.report.results import largest
+from mitsuba_ref.subjects.subject import Answer, scene_as_traced
 
 LAST_WORDS = 300  # characters kept of a dead caster's output
-WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
 
 MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
 MAX_CAST_S = 0.2  # seconds of a slow caster's cast; its film is made smaller until it fits
 WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
 REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
-
-
-class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
-    """A caster's process has ended; str() is the reason, in one line."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    size: int
-    alternations: int
+EXACT_RAYS = 2000  # rays of a scene whose exact answers are computed
 
 
 def start_process(caster: TimedCaster, folder: str, scene: BenchScene) -> ResidentProcess:
@@ -51,10 +44,43 @@ def start_process(caster: TimedCaster, folder: str, scene: BenchScene) -> Reside
     folder: as `write_scene` writes it.
     """
     work = Work(folder, scene.workload, caster.driver, scene.aovs, caster.options)
-    environment = {**variants.environment_for(caster.variant), "PYTHONPATH": import_path()}
-    with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
-        fd = notices.fileno()
-        return ResidentProcess([*WORKER, json.dumps(asdict(work)), str(fd)], environment, pass_fds=(fd,))
+    environment = variants.environment_for(caster.variant)
+    return run_module(sys.executable, "mitsuba_ref.bench.worker", json.dumps(asdict(work)), environment=environment)
+
+
+def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
+    """Write the scene in every form that a caster reads. size: pixels a side, or the square root of the number of rays.
+
+    Its rays are its own, or else the camera's, one for each pixel.
+    """
+    made = scene.make().with_film(width=size, height=size)
+    made = scene_as_traced(made, packed_float32(made), folder)
+    if scene.rays:
+        o, d = scene.rays(made)
+    else:
+        shared = shared_rays(made)
+        real = shared.t_max > 0.0  # a fisheye's image has corners without rays
+        o, d = shared.o[real], shared.d[real]
+    ready = prepare_scene(made, o, d)
+    (folder / SCENE_FILE).write_bytes(pickle.dumps(made))
+    for name in (ROBUST, DEFAULT):
+        export(made, ready.model, robust=name == ROBUST).write(folder / name)
+    np.savez(folder / RAYS_FILE, o=ready.o, d=ready.d)
+    return ready
+
+
+def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False) -> Score:
+    """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
+    answer = Answer(t, None, precision, {})
+    ratio, hits = exact.ratios(answer, Side(answer.ku, own=not reference)), answer.hit & exact.hit
+    spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
+    return Score(
+        rays=len(t),
+        ulps=largest(exact.errors(t) / spacing),
+        bounds=largest(ratio[hits]),
+        masks=int(np.sum(answer.hit != exact.hit)),
+        beyond=int(np.sum(hits & ~(ratio <= 1.0))),
+    )
 
 
 @dataclass
@@ -73,22 +99,20 @@ class CasterRun:
             return
         try:
             step(self, *given)
-        except CasterEnded as end:
+        except CannotRun as end:
             self.row["why"] = str(end)
 
     def request(self, **request: Any) -> Mapping[str, Any]:
-        """The reply to {"do": ...}. Raises CasterEnded; the process is then gone, too."""
+        """The reply to {"do": ...}. Raises CannotRun; the process is then gone, too."""
         assert self.process is not None
         try:
             reply: dict[str, Any] = json.loads(self.process.ask(json.dumps(request).encode(), REQUEST_TIMEOUT_S))
         except ProcessEnded as ended:
-            end = ended.end
-            words = ["died", exit_name(end.code or 0), *end.output.splitlines()[-1:]]
-            why = f"no answer within {REQUEST_TIMEOUT_S:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
-            raise CasterEnded(why) from None
+            words = ["died", ended.end.exit, *ended.end.output.splitlines()[-1:]]
+            raise CannotRun(": ".join(words)[:LAST_WORDS]) from None
         if "why" in reply:
             self.process.close()
-            raise CasterEnded(reply["why"])
+            raise CannotRun(reply["why"])
         return reply
 
     def compile(self) -> None:
@@ -97,8 +121,9 @@ class CasterRun:
         self.request(do="build", size=first or self.size)
         self.request(do="cast", least=0.0)
         if first:
-            found = self.request(do="cast", least=0.0)
-            self.size = fitting_size(first, found["seconds"], self.size)
+            times_as_fast = MAX_CAST_S / self.request(do="cast", least=0.0)["seconds"]
+            doublings = int(max(0.0, math.log2(times_as_fast) // 2.0))  # of the side
+            self.size = min(first * 2**doublings, self.size)
 
     def warm_up(self) -> None:
         """Build again to time it, and cast a few times."""
@@ -121,19 +146,13 @@ class CasterRun:
         return Row(it.key, it.title, size=self.size, seconds=tuple(self.seconds), **self.row)
 
 
-def fitting_size(first: int, seconds: float, most: int) -> int:
-    """`first` times the largest power of two that should be cast within MAX_CAST_S, up to `most`."""
-    doublings = int(max(0.0, math.log2(MAX_CAST_S / seconds) // 2.0))
-    return min(first * 2**doublings, most)
-
-
-def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], settings: Settings) -> SceneResult:
+def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], size: int, alternations: int) -> SceneResult:
     """Time all casters on a scene, in turns, and measure their errors, unless other AOVs are asked for."""
     begun = time.perf_counter()
     with ScratchFolder() as folder:
         report_stage("making the scene")
-        ready = write_scene(scene, Path(folder), settings.size)
-        runs = [CasterRun(each, settings.size, row={"why": each.missing()}) for each in casters]
+        ready = write_scene(scene, Path(folder), size)
+        runs = [CasterRun(each, size, row={"why": each.missing()}) for each in casters]
         try:
             report_stage("starting the casters")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
@@ -144,14 +163,15 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], settings: Sett
             report_stage("warming up")
             for run in runs:
                 run.go(CasterRun.warm_up)
-            for turn in range(settings.alternations):
-                report_stage(f"alternation {turn + 1}/{settings.alternations}")
+            for turn in range(alternations):
+                report_stage(f"alternation {turn + 1}/{alternations}")
                 first = turn % len(runs)  # so that none always follows the same
                 for run in [*runs[first:], *runs[:first]]:
                     run.go(CasterRun.time_cast)
             if scene.aovs == AOVS:
                 report_stage("exact answers")
-                rows = sampled_rows(len(ready.o))
+                count = len(ready.o)
+                rows = np.sort(np.random.default_rng(7).choice(count, min(EXACT_RAYS, count), replace=False))
                 exact = ExactHits(ready.model, ready.o[rows], ready.d[rows])
                 for run in runs:
                     run.go(CasterRun.measure_errors, exact, rows)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.reference.mitsuba_calls import dr, mi
+from mitsuba_ref.reference.mitsuba_calls import dr, mi, vectorised_rays
 
 # Our AOVs by the names of its interactions, and of its AOV integrator.
 OF_INTERACTION = {
@@ -52,9 +52,7 @@ class OfMitsuba(Driver):
         """A ray of arrays, or a list of rays for the scalar variant."""
         if self.work.options["variant"].startswith("scalar"):
             return [mi.Ray3f(a, b, np.inf, 0.0, []) for a, b in zip(o.tolist(), d.tolist(), strict=True)]
-        points, vectors = ([mi.Float(np.ascontiguousarray(c)) for c in a.T] for a in (o, d))
-        t_max = mi.Float(np.full(len(o), np.inf, np.float32))
-        rays = mi.Ray3f(mi.Point3f(points), mi.Vector3f(vectors), t_max, mi.Float(0.0), mi.Color0f())
+        rays = vectorised_rays(o, d, np.full(len(o), np.inf, np.float32))
         dr.eval(rays)
         dr.sync_thread()
         return rays

@@ -99,25 +99,20 @@ COLUMNS = ("", "build ms", "ns/ray", "times as fast", "ulps", "bounds", "wrong")
 
 def rows(scene: SceneResult) -> list[list[str]]:
     """The table's head and rows; a row that did not run has a reason in place of numbers."""
-    return [[*COLUMNS], *(_cells(scene, row) for row in scene.rows)]
-
-
-def _cells(scene: SceneResult, row: Row) -> list[str]:
-    if not row.ran:
-        return [row.title, row.why or "did not run"]
-    errors = [NOTHING] * 3
-    if score := row.score:
-        wrong = f"{score.masks}+{score.beyond}" if score.beyond else str(score.masks)
-        errors = [number(score.ulps, 2), number(score.bounds, 2), wrong]
-    smaller = f"{row.size}^2" if row.size < max(each.size for each in scene.rows) else ""
-    about = ", ".join(filter(None, [smaller, row.why]))
-    return [
-        f"{row.title} ({about})" if about else row.title,
-        number(None if row.build is None else 1e3 * row.build, 1),
-        number(row.ns, 2),
-        number(scene.ratio(row.key), 2),
-        *errors,
-    ]
+    found, largest = [[*COLUMNS]], max((row.size for row in scene.rows), default=0)
+    for row in scene.rows:
+        if not row.ran:
+            found.append([row.title, row.why or "did not run"])
+            continue
+        errors = [NOTHING] * 3
+        if score := row.score:
+            wrong = f"{score.masks}+{score.beyond}" if score.beyond else str(score.masks)
+            errors = [number(score.ulps, 2), number(score.bounds, 2), wrong]
+        about = ", ".join(filter(None, [f"{row.size}^2" if row.size < largest else "", row.why]))
+        title = f"{row.title} ({about})" if about else row.title
+        build = number(None if row.build is None else 1e3 * row.build, 1)
+        found.append([title, build, number(row.ns, 2), number(scene.ratio(row.key), 2), *errors])
+    return found
 
 
 # Columns of the table of all scenes.

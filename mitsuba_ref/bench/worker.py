@@ -1,20 +1,18 @@
 """A caster's process, which stays and answers requests, JSON each, so that casters can take turns.
 
-python -m mitsuba_ref.bench.worker WORK NOTICES
+python -m mitsuba_ref.bench.worker WORK
 
-WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
+WORK: Work as JSON
 """
 
 import gc
 import json
-import os
 import statistics
 import sys
 import time
 from importlib import import_module
 from typing import Any
 
-from caster.system.terminal import compilation_reported
 from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
 from mitsuba_ref.reference.subprocess_runner import serve
 
@@ -63,11 +61,5 @@ class Worker:
         return {"t": t.tolist(), "precision": self.driver.precision}
 
 
-def main(work: Work, notices: int) -> None:
-    """Answer requests until stdin ends."""
-    with os.fdopen(notices, "w") as stream, compilation_reported(stream):
-        serve(Worker(work).reply)
-
-
 if __name__ == "__main__":
-    main(Work(**json.loads(sys.argv[1])), int(sys.argv[2]))
+    serve(Worker(Work(**json.loads(sys.argv[1]))).reply)

@@ -30,7 +30,6 @@ for _reference in (
     references.ORTHOGRAPHIC,
     references.FISHEYE,
     references.PANORAMA,
-    references.PARABOLIC,
     references.RAY,
 ):
     register(_reference)

@@ -1,11 +1,11 @@
 """Every camera: pinhole and orthographic, for which Mitsuba has a sensor; the rays of all others are sent to it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, Ray
+from caster.cameras import Fisheye, Orthographic, Panorama, Pinhole, Ray
 from caster.description.fields import Camera
 from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
@@ -116,20 +116,15 @@ ORTHOGRAPHIC = CameraReference(
 )
 
 
-def circle_rays(camera: Camera, film: Film, x: Array, y: Array, theta: Callable[[Array], Array]) -> Rays:
-    """An image within a circle. theta: the angle from the axis at distances from the centre, in radii of the circle."""
+def fisheye_rays(camera: Fisheye, film: Film, x: Array, y: Array) -> Rays:
+    """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
     radius = min(film.width, film.height) / 2.0
     right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
     distance, phi = np.hypot(right, up), np.arctan2(up, right)
-    polar = theta(distance)
+    polar = np.deg2rad(camera.fov) / 2.0 * distance
     sine = np.sin(polar)
     local = np.column_stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(polar)])
     return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
-
-
-def fisheye_rays(camera: Fisheye, film: Film, x: Array, y: Array) -> Rays:
-    """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
-    return circle_rays(camera, film, x, y, lambda distance: np.deg2rad(camera.fov) / 2.0 * distance)
 
 
 def random_fisheye(rng: Rng, size: float, view: RandomView) -> Fields:
@@ -148,14 +143,6 @@ def panorama_rays(camera: Panorama, film: Film, x: Array, y: Array) -> Rays:
 
 
 PANORAMA = CameraReference(Panorama, panorama_rays)
-
-
-def parabolic_rays(camera: Parabolic, film: Film, x: Array, y: Array) -> Rays:
-    """Reflection in a paraboloid: tan(theta / 2) is the distance from the centre of the image, in radii."""
-    return circle_rays(camera, film, x, y, lambda distance: 2.0 * np.arctan(distance))
-
-
-PARABOLIC = CameraReference(Parabolic, parabolic_rays)
 
 
 def ray_rays(camera: Ray, film: Film, x: Array, y: Array) -> Rays:

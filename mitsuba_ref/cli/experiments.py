@@ -4,7 +4,7 @@ import argparse
 import itertools
 import sys
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 from caster.cli.shared_arguments import comma_separated, scene_files
@@ -15,7 +15,7 @@ from caster.system.terminal import ProgressBar, StatusLine
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
 from mitsuba_ref.bench.machine import LOAD, REVISION, machine_properties
-from mitsuba_ref.bench.measuring import Settings, time_scene
+from mitsuba_ref.bench.measuring import time_scene
 from mitsuba_ref.bench.result import CANDIDATE_ROW, REFERENCE_ROW, Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
 from mitsuba_ref.cli import options
@@ -176,7 +176,7 @@ def run_bench(args: argparse.Namespace) -> int:
     if interpreter() != sys.executable:
         raise SceneError(f"{PYTHON_VARIABLE}: bench times the Mitsuba that is installed beside it; unset it")
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
-    settings = Settings(args.size, args.alternations)
+    settings = {"size": args.size, "alternations": args.alternations}
     caster = None
     if candidate:
         served = isinstance(args.candidate, ServedProgram)
@@ -202,7 +202,7 @@ def run_bench(args: argparse.Namespace) -> int:
                     print_lines(f"{as_text(result)}\n", options.table_stream(args))
                 bar.add(1, f"{len(done)} of {len(calls)} scenes")
     finally:  # what is done is kept, whatever ends the work
-        recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
+        recorded = settings | {"candidate": caster.title if caster else ""}
         run = Run(recorded, machine, tuple(scene.name for scene in scenes), tuple(done))
         write_result(run, args.json)
         text = f"{overview_text(run)}\n\n{options.missing_variants()}{summary(run)}"
@@ -217,10 +217,10 @@ SCENE_SECONDS = 3600.0  # a limit of the time for one scene on a cluster
 
 
 def time_on_worker(
-    scene: BenchScene, caster: casters.TimedCaster | None, settings: Settings
+    scene: BenchScene, caster: casters.TimedCaster | None, settings: dict[str, int]
 ) -> tuple[dict[str, str], SceneResult]:
     """The properties of this machine, and the times of a scene."""
-    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), settings)
+    return machine_properties(), time_scene(scene, casters.casters_for(scene, caster), **settings)
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:

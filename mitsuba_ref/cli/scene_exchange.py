@@ -94,8 +94,9 @@ def with_files(scene: Scene, folder: Path) -> Scene:
         if isinstance(texture, Bitmap) and texture.file is None and (png := texture.as_png()):
             check_folder(folder)
             path = folder / f"{i:04d}-{safe_name(name)}.png"
-            write_bytes(path, png.content)
-            change = {"file": str(path), "data": None, "raw": png.raw}
+            content, raw = png
+            write_bytes(path, content)
+            change = {"file": str(path), "data": None, "raw": raw}
             materials[name] = material.model_copy(update={"reflectance": texture.model_copy(update=change)})
     return scene.model_copy(update={"shapes": shapes, "materials": materials})
 

@@ -285,7 +285,7 @@ RANDOM: tuple[Family, ...] = (
         "things all around the eye, at the poles and across the seam, by cameras that see more than a frame",
         partial(random_frame, condition=10.0),
         surroundings,
-        cameras=("panorama", "panorama", "fisheye", "parabolic"),
+        cameras=("panorama", "panorama", "fisheye", "fisheye"),
         films=((48, 8), (16, 16)),
         finish=put_around_the_eye,
     ),
@@ -305,7 +305,7 @@ RANDOM: tuple[Family, ...] = (
         "everything a scene file can say: films, crops, cameras, lights, materials",
         partial(random_frame, decades_of_size=1.0),
         of_few_kinds,
-        cameras=(*["pinhole"] * 4, "orthographic", "fisheye", "panorama", "parabolic", "ray"),  # by their options
+        cameras=(*["pinhole"] * 4, "orthographic", "fisheye", "panorama", "fisheye", "ray"),  # by their options
         finish=with_options,
         always_judged=True,
     ),

@@ -461,14 +461,14 @@ def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays)
     p, turned = o + t * d, d @ TURN
     determinants = np.abs(dot(d, area_vectors(triangle_corners(judge, prim[chosen]))))
     determinants = determinants[np.isfinite(determinants)]
-    sizes = f"where hits are at distances of {range_text(t * norm(d)[:, None])}"
-    sizes += f" with determinants of {range_text(determinants)}" if len(determinants) else ""
+    sizes = f"distances of hits here: {range_text(t * norm(d)[:, None])}"
+    sizes += f", determinants: {range_text(determinants)}" if len(determinants) else ""
     for changed, question, start, way in (
         ("alone", "does the number of rays matter", o, d),
         (f"from {FARTHER:g} times as near", "are far hits lost", p - t * d / FARTHER, d),
-        ("along directions 2^40 times as long", "is an epsilon larger than the determinants", o, LONGER * d),
+        ("with d scaled by 2^40", "is an epsilon larger than the determinants", o, LONGER * d),
         (f"from {FARTHER:g} times as far", "are near hits lost", p - FARTHER * t * d, d),
-        ("along directions turned by 20 degrees", "is a component of d that is 0 a divisor", p - t * turned, turned),
+        ("with d turned by 20 degrees", "is a component of d that is 0 a divisor", p - t * turned, turned),
         ("from the other side", "is one side culled, or a sign of d ignored", p + t * d, -d),
     ):
         given, expected = cast(start, way) or (NONE, NONE)

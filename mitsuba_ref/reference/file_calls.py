@@ -34,7 +34,7 @@ MESH_COLORS = {"vertex_color": "vertices", "face_color": "faces"}  # attribute -
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
 VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)
 ROBUST = "embree_use_robust_intersections"
-MAX_TEXELS = 2**24  # of all bitmaps, 12 bytes each
+MAX_TEXELS = 2**24  # of a bitmap, 12 bytes each
 EXACT_TEXELS = {"format": "variant", "accel": False}  # not of 8 or 16 bits, nor filtered by the hardware of a GPU
 
 
@@ -46,9 +46,10 @@ class Parsed(NamedTuple):
     dropped: Counter[str]  # what was dropped or replaced
     unlit: list[str]  # why diffuse cannot be compared
     names: dict[int, str]  # ids in the file, by node
-    refers: dict[int, list[int]]  # nodes that a node refers to, in their order
+    refers: dict[int, list[int]]  # nodes that a node refers to, in their order; instantiation removes them
     materials: dict[int, dict[str, Any] | None]  # of each bsdf that a shape has, as the caster has it
-    textures: dict[int, dict[str, Any]]  # of these materials, by node
+    textures: dict[int, dict[str, Any]]  # of these materials, by node: without colours, but with their place
+    colored: dict[str, dict[str, Any]]  # materials of shapes by name, with the colours of their textures
 
     def instantiate(self) -> Any:
         loaded = mi.parser.instantiate(self.config, self.state)
@@ -88,7 +89,7 @@ def parse(request: OpenRequest, variant: str) -> Parsed:
     mi.parser.transform_resolve(config, state)
     names = {i: node.props.id() for i, node in enumerate(state.nodes)}
     refers = {i: [to for _, to in _references(node.props)] for i, node in enumerate(state.nodes)}
-    parsed = Parsed(config, state, Counter(), [], names, refers, {}, {})
+    parsed = Parsed(config, state, Counter(), [], names, refers, {}, {}, {})
     _keep_geometry(parsed, request)
     return parsed
 
@@ -211,16 +212,21 @@ def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
 
 
 def texture(parsed: Parsed, number: int) -> dict[str, Any] | None:
-    """A texture as the caster has it, a bitmap without its texels; None, with a reason in `unlit`, for any other."""
+    """A texture as the caster has it; None, with a reason in `unlit`, for any other.
+
+    Colours are named by the field that they are for and the parameter that Mitsuba has them in.
+    """
     props = parsed.state.nodes[number].props
-    plugin, found, matrix = props.plugin_name(), None, np.eye(4)
+    plugin, matrix = props.plugin_name(), np.eye(4)
+    found: dict[str, Any] | None = None
     if plugin == "checkerboard":
         colors = {name: color(props, name, default) for name, default in CHECKERBOARD.items()}
         found = colors if all(colors.values()) else None
     elif plugin == "mesh_attribute" and (name := props["name"]) in MESH_COLORS and props.get("scale", 1.0) == 1.0:
-        return parsed.textures.setdefault(number, {"type": "mesh_colors", "attribute": name, "of": MESH_COLORS[name]})
+        return parsed.textures.setdefault(number, {"type": "mesh_colors", "colors": (MESH_COLORS[name], name)})
     elif plugin == "bitmap" and _is_picture(_path(props)):
         found = {"filter": props.get("filter_type", "bilinear"), "wrap": props.get("wrap_mode", "repeat")}
+        found["colors"] = "data", "reflectance.data"
     if props.has_property("to_uv"):  # of which Mitsuba, too, takes no more than u and v
         matrix[:2, [0, 1, 3]] = np.array(_matrix(props["to_uv"]))[:2, [0, 1, 3]]
     if found and matrix[0, 0] * matrix[1, 1] != matrix[0, 1] * matrix[1, 0]:
@@ -256,7 +262,7 @@ def light(props: Any) -> dict[str, Any] | None:
 def load(request: OpenRequest, variant: str) -> Any:
     """The scene of a file, for tracing."""
     parsed = parse(request, variant)
-    instanced = any(_is(props, "instance") for _, props in parsed.nodes(mi.ObjectType.Shape))
+    instanced = any(props.plugin_name() == "instance" for _, props in parsed.nodes(mi.ObjectType.Shape))
     if instanced and variant != "scalar_rgb":
         raise RuntimeError("instances are traced by scalar_rgb alone: others do not name the shape of the group")
     return parsed.instantiate()
@@ -278,29 +284,22 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse | OpenRefu
     sensor = sensors[request.sensor] if sensors else _view_of_all(scene, request.size)
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
     shapes: list[dict[str, Any]] = []
-    numbers, faces, texels = [np.zeros(0, np.float32)], [NO_FACES], [np.zeros((0, 3), np.float32)]
     number_of: dict[int, int] = {}
     for i, props in parsed.nodes(kind.Shape):
-        if str(i) in loaded and not _is(props, "instance"):
+        if (shape := loaded.get(str(i))) and props.plugin_name() != "instance":
             number_of[i] = len(shapes)
-            record, rows, triangles = _shape(loaded[str(i)])
-            sizes = {"numbers": rows.size, "columns": rows.shape[1], "faces": len(triangles)}
             about = {"plugin": props.plugin_name(), "place": parsed.place(i)}
-            shapes.append(record | sizes | about | _material_of(parsed, i, loaded[str(i)], texels))
-            numbers.append(rows.ravel())
-            faces.append(triangles)
+            shapes.append(_shape(shape) | about | {"material": _material_of(parsed, i, shape)})
     paths = [path for _, _, path in _files(parsed, kind.Shape, kind.Texture)]
-    film = sensor.film()
-    (x, y), (width, height) = film.crop_offset(), film.crop_size()
+    (width, height), (x, y) = sensor.film().size(), sensor.film().crop_offset()
+    across, down = sensor.film().crop_size()
+    crop = None if (across, down) == (width, height) else [x, y, x + across, y + down]
     return OpenResponse(
-        numbers=np.concatenate(numbers),
-        faces=np.concatenate(faces),
-        texels=np.concatenate(texels),
         rays=sensor_rays(sensor, variant),
         shapes=shapes,
         placed=list(_placements(parsed, loaded, number_of)),
-        size=list(film.size()),
-        crop=[x, y, x + width, y + height],
+        materials=parsed.colored,
+        film={"width": width, "height": height, "crop": crop},
         camera=_camera(parsed.state.nodes[int(sensor.id())].props if sensors else mi.Properties(VIEW), sensor),
         lights=[found for _, props in parsed.nodes(kind.Emitter) if (found := light(props))],
         unlit=parsed.unlit,
@@ -321,42 +320,38 @@ def _view_of_all(scene: Any, size: Sequence[int] | None) -> Any:
     return mi.load_dict({"type": "perspective", "fov": VIEW_FOV, "to_world": to_world, "film": film, **planes})
 
 
-def _material_of(parsed: Parsed, number: int, shape: Any, texels: list[Array]) -> dict[str, Any]:
-    """The material of a shape, None where it is not the caster's, and its name, "" for the default."""
-    for bsdf in parsed.children(number, mi.ObjectType.BSDF):
-        found, name = parsed.materials[bsdf] or {}, parsed.names[bsdf] or f"material-{bsdf}"
-        texture = found.get("reflectance")
-        if isinstance(texture, dict) and texture["type"] != "checkerboard" and "texels" not in texture:
-            of_mesh = texture["type"] == "mesh_colors"
-            loaded = mi.traverse(shape if of_mesh else shape.bsdf())
-            place = _add_texels(loaded, texture.get("attribute", "reflectance.data"), texels)
-            if place is None:
-                found = {}
+def _material_of(parsed: Parsed, number: int, shape: Any) -> str | None:
+    """The name of a shape's material, which it adds to `colored`; None for the default and what the caster has not."""
+    bsdfs = parsed.children(number, mi.ObjectType.BSDF)
+    if not bsdfs or not (found := parsed.materials[bsdfs[0]]):
+        return None
+    bsdf, texture = bsdfs[0], found.get("reflectance")
+    name = parsed.names[bsdf] or f"material-{bsdf}"
+    if isinstance(texture, dict) and "colors" in texture:
+        of_mesh = texture["type"] == "mesh_colors"
+        name = f"{name} of shape {number}" if of_mesh else name  # each mesh has its own
+        if name not in parsed.colored:
+            texture = dict(texture)
+            field, parameter = texture.pop("colors")
+            colors = _colors(mi.traverse(shape if of_mesh else shape.bsdf()), parameter)
+            if colors is None:
                 parsed.materials[bsdf] = None
                 parsed.unlit.append(f"colours that are missing, not from 0 to 1, or too many, in {parsed.place(bsdf)}")
-            elif of_mesh:  # each mesh has its own
-                found, name = found | {"reflectance": {**texture, "texels": place}}, f"{name} of shape {number}"
-            else:
-                texture["texels"] = place
-        return {"material": found or None, "material_name": name}
-    return {"material": None, "material_name": ""}
+                return None
+            found = found | {"reflectance": texture | {field: colors}}
+    parsed.colored.setdefault(name, found)
+    return name
 
 
-def _add_texels(loaded: Any, ending: str, texels: list[Array]) -> list[int] | None:
-    """Add the colours (n, 3) of the parameter with this ending: the first one, height and width; None if unusable."""
+def _colors(loaded: Any, ending: str) -> Array | None:
+    """Colours (..., 3) float32 of the parameter with this ending; None if unusable."""
     for name, value in loaded:
         if name.endswith(ending):
             data = np.array(value, np.float32)
-            rows = data.reshape(-1, 1, 3) if data.ndim == 1 else data
-            first, (height, width) = sum(map(len, texels)), rows.shape[:2]
-            if data.size and data.min() >= 0.0 and data.max() <= 1.0 and first + height * width <= MAX_TEXELS:
-                texels.append(np.broadcast_to(rows, (height, width, 3)).reshape(-1, 3))
-                return [first, height, width]
+            data = data.reshape(-1, 3) if data.ndim == 1 else np.broadcast_to(data, (*data.shape[:2], 3))
+            if 0 < data.size <= 3 * MAX_TEXELS and data.min() >= 0.0 and data.max() <= 1.0:
+                return data
     return None
-
-
-def _is(props: Any, plugin: str) -> bool:
-    return bool(props.plugin_name() == plugin)
 
 
 def _path(props: Any) -> str:
@@ -382,7 +377,7 @@ def _missing_files(parsed: Parsed) -> Iterator[str]:
 def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> dict[str, Any]:
     """The shapes of groups, which Mitsuba does not show, loaded by themselves."""
     shape = mi.ObjectType.Shape
-    groups = [i for i, props in parsed.nodes(shape) if _is(props, "shapegroup")]
+    groups = [i for i, props in parsed.nodes(shape) if props.plugin_name() == "shapegroup"]
     if not groups:
         return {}
     again, alone = parse(request, variant), mi.Properties("scene")
@@ -395,7 +390,7 @@ def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> dict[s
 def _leaves(parsed: Parsed, numbers: Iterable[int]) -> Iterator[int]:
     """Shapes by number, with the children of a `merge` in its place."""
     for number in numbers:
-        merged = _is(parsed.state.nodes[number].props, "merge")
+        merged = parsed.state.nodes[number].props.plugin_name() == "merge"
         yield from _leaves(parsed, parsed.children(number, mi.ObjectType.Shape)) if merged else [number]
 
 
@@ -409,7 +404,7 @@ def _placements(parsed: Parsed, loaded: dict[str, Any], number_of: dict[int, int
     for i in dict.fromkeys(_leaves(parsed, parsed.children(0, shape))):
         if i in number_of:
             yield str(i), number_of[i], parsed.names[i], None
-        elif _is(parsed.state.nodes[i].props, "instance"):
+        elif parsed.state.nodes[i].props.plugin_name() == "instance":
             matrix = _matrix(mi.traverse(loaded[str(i)])["to_world"])
             for group in parsed.children(i, shape):
                 for child in _leaves(parsed, parsed.children(group, shape)):
@@ -427,36 +422,39 @@ def _number(value: Any) -> float:
     return float(np.array(value).ravel()[0])
 
 
-NO_FACES = np.zeros((0, 3), np.int32)
+def _shape(shape: Any) -> dict[str, Any]:
+    """The record of a loaded shape.
 
-
-def _shape(shape: Any) -> tuple[dict[str, Any], Array, Array]:
-    """(record, rows (n, columns) float32, faces (m, 3)) of a loaded shape.
-
-    Rows: vertices as vertices_of; control points with their radii; centres, scales and quaternions of ellipsoids.
+    rows, (n, columns) float32: vertices as vertices_of; control points with their radii; centres, scales and
+    quaternions of ellipsoids. faces, (m, 3): of a mesh.
     """
     kind = "mesh" if shape.is_mesh() else HELD.get(shape.class_name(), "")
     record: dict[str, Any] = {"kind": kind}
     if not kind:
-        return record, np.zeros((0, 1), np.float32), NO_FACES
+        return record
     record["flipped"] = bool(shape.has_flipped_normals())
     if kind == "mesh":
         record["smooth"] = bool(shape.has_vertex_normals() and not shape.has_face_normals())
         record["textured"] = bool(shape.has_vertex_texcoords())
-        return record, vertices_of(shape), np.array(shape.faces_buffer(), np.int32).reshape(-1, 3)
+        return record | {"rows": vertices_of(shape), "faces": faces_of(shape)}
     numbers = mi.traverse(shape)
     if kind == "linear_curve":
         rows = np.array(numbers["control_points"], np.float32).reshape(-1, 4)
         ends = np.setdiff1d(np.arange(len(rows)), np.array(numbers["segment_indices"]))  # where no segment starts
-        return record | {"counts": np.diff(ends, prepend=-1).tolist()}, rows, NO_FACES
+        return record | {"rows": rows, "counts": np.diff(ends, prepend=-1).tolist()}
     if kind == "ellipsoids":
         record |= {"extent": _number(numbers["extent"]), "clamped": bool(numbers["extent_adaptive_clamping"])}
-        return record, np.array(numbers["data"], np.float32).reshape(-1, 10), NO_FACES
+        return record | {"rows": np.array(numbers["data"], np.float32).reshape(-1, 10)}
     record["matrix"] = matrix = _matrix(numbers["to_world"])
     if kind == "sphere":  # from its centre to its surface
         ray = mi.Ray3f([row[3] for row in matrix[:3]], [1.0, 0.0, 0.0])
         record["radius"] = float(shape.ray_intersect_preliminary(ray).t)
-    return record, np.zeros((0, 1), np.float32), NO_FACES
+    return record
+
+
+def faces_of(mesh: Any) -> Array:
+    """(m, 3) int32: numbers of vertices."""
+    return np.array(mesh.faces_buffer(), np.int32).reshape(-1, 3)
 
 
 def vertices_of(mesh: Any) -> Array:

@@ -10,15 +10,13 @@ import os
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from caster.description.errors import SceneError
-from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT, run, user_import_path
+from caster.description.errors import SceneError, error_prefix
+from mitsuba_ref.reference.subprocess_runner import import_path, run
 
 # The options --mitsuba, --variant and --as-in-file, as environment variables.
 PYTHON_VARIABLE, VARIANT_VARIABLE = "MITSUBA_REF_PYTHON", "MITSUBA_REF_VARIANT"
@@ -48,18 +46,6 @@ except Exception as problem:
 print("DESCRIPTION" + json.dumps(found))
 """
 
-# Our packages come from their own folder, which may be the site-packages of another interpreter.
-RUN_CHILD = """
-import importlib.util, runpy, sys
-(root,) = sys.argv[1:]
-for name in ("caster", "mitsuba_ref"):
-    folder = root + "/" + name
-    spec = importlib.util.spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
-    sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[name])
-runpy.run_module("mitsuba_ref.reference.mitsuba_process", run_name="__main__")
-"""
-
 
 @dataclass(frozen=True)
 class Installation:
@@ -80,19 +66,12 @@ def interpreter() -> str:
 @contextlib.contextmanager
 def chosen(python: str) -> Iterator[None]:
     """A context in which that interpreter runs Mitsuba; for one thread."""
-    before = os.environ.get(PYTHON_VARIABLE)
+    before = os.environ.get(PYTHON_VARIABLE, "")
     os.environ[PYTHON_VARIABLE] = python
     try:
         yield
     finally:
-        del os.environ[PYTHON_VARIABLE]
-        if before is not None:
-            os.environ[PYTHON_VARIABLE] = before
-
-
-def child_command() -> list[str]:
-    """The command that runs mitsuba_process.py in that interpreter, without the current folder on its path."""
-    return [interpreter(), "-P", "-c", RUN_CHILD, str(PACKAGE_PARENT)]
+        os.environ[PYTHON_VARIABLE] = before
 
 
 def installation() -> Installation:
@@ -102,43 +81,40 @@ def installation() -> Installation:
 
 @cache
 def installation_of(python: str) -> Installation:
-    found = _description(python)
-    if _numbers(found["python"]) < _numbers(LEAST_PYTHON):
-        raise _unusable(python, f"is Python {found['python']}; expected {LEAST_PYTHON} or newer")
-    if "problem" in found:
-        way_out = f"{python} -m pip install numpy 'mitsuba>={LEAST_MITSUBA}'"
-        raise _unusable(python, f"cannot import Mitsuba and NumPy: {found['problem']} ({way_out})")
-    mitsuba = found["versions"]["mitsuba"]
-    if _numbers(mitsuba) < _numbers(LEAST_MITSUBA):
-        expected = f"expected {LEAST_MITSUBA} or later, which has robust intersections"
-        raise _unusable(python, f"has Mitsuba {mitsuba}; {expected}")
+    with error_prefix("--mitsuba", python):
+        if shutil.which(python) is None:
+            hint = f"; did you mean {python}/bin/python?" if os.path.isdir(python) else ""
+            raise SceneError(f"is no program{hint}")
+        try:
+            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": import_path()})
+        except OSError as error:
+            raise SceneError(f"cannot be started: {error.strerror}") from None
+        _, mark, description = end.output.rpartition("DESCRIPTION")
+        if not mark or end.code != 0:
+            raise SceneError(f"does not answer as a Python does: {f'{end.exit} {end.headline}'.strip()}")
+        found = json.loads(description)
+        if _numbers(found["python"]) < _numbers(LEAST_PYTHON):
+            raise SceneError(f"is Python {found['python']}; expected {LEAST_PYTHON} or newer")
+        if "problem" in found:
+            way_out = f"{python} -m pip install numpy 'mitsuba>={LEAST_MITSUBA}'"
+            raise SceneError(f"cannot import Mitsuba and NumPy: {found['problem']} ({way_out})")
+        mitsuba = found["versions"]["mitsuba"]
+        if _numbers(mitsuba) < _numbers(LEAST_MITSUBA):
+            expected = f"expected {LEAST_MITSUBA} or later, which has robust intersections"
+            raise SceneError(f"has Mitsuba {mitsuba}; {expected}")
     libraries = [path for folder in found["folders"] for path in sorted(Path(folder).rglob("*"))]
-    stamps = [
-        f"{path} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in libraries if path.suffix in BINARIES
-    ]
+    stamps = [file_stamp(path) for path in libraries if path.suffix in BINARIES]
     build = hashlib.sha256("\n".join(stamps).encode()).hexdigest()
     return Installation(found["versions"], tuple(found["variants"]), build)
 
 
-def _description(python: str) -> dict[str, Any]:
-    """What DESCRIBE prints in that interpreter. Raises SceneError."""
-    if shutil.which(python) is None:
-        hint = f"; did you mean {python}/bin/python?" if os.path.isdir(python) else ""
-        raise _unusable(python, f"is no program{hint}")
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": user_import_path()}, folder)
-        except OSError as error:
-            raise _unusable(python, f"cannot be started: {error.strerror}") from None
-    _, mark, description = end.output.rpartition("DESCRIPTION")
-    if not mark or end.code != 0:
-        raise _unusable(python, f"does not answer as a Python does: {f'{end.exit} {end.headline}'.strip()}")
-    found: dict[str, Any] = json.loads(description)
-    return found
-
-
-def _unusable(python: str, why: str) -> SceneError:
-    return SceneError(f"--mitsuba {python}: {why}")
+def file_stamp(path: str | Path) -> str:
+    """The path with the size and the time of its file, for a key."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return f"{path} missing"
+    return f"{path} {status.st_size} {status.st_mtime_ns}"
 
 
 def _numbers(version: str) -> tuple[int, ...]:

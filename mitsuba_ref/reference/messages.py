@@ -1,13 +1,13 @@
-"""Requests to a Mitsuba process and its responses, as bytes: an .npz file of their arrays and of a JSON record.
+"""Requests to a Mitsuba process and its responses, as bytes: an .npz file of a JSON record and of the arrays in it.
 
 Nothing is pickled, so that garbled bytes are an error and never code.
 """
 
 import io
 import json
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,41 +15,42 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.reference.interpreter import child_command
-from mitsuba_ref.reference.subprocess_runner import (
-    ProcessEnd,
-    ProcessEnded,
-    ResidentProcess,
-    UnexpectedReply,
-    user_import_path,
-)
+from mitsuba_ref.reference.interpreter import interpreter
+from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded, ResidentProcess, run_module
 
-# Of malformed bytes.
-MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile)
+ARRAY = "\0"  # {ARRAY: name} stands in the record for an array of the file; no name in a scene has this character
 
 
 class Message:
-    """A record that is sent, with its arrays."""
+    """A record that is sent, with arrays in any place."""
 
     def to_bytes(self) -> bytes:
         """The fields, equal for equal ones. Paths become text."""
-        arrays = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        rest = {name: value for name, value in vars(self).items() if name not in arrays}
-        record = np.frombuffer(json.dumps({"kind": type(self).__name__} | rest, default=str).encode(), np.uint8)
+        arrays: dict[str, Array] = {}
+
+        def beside(value: Any) -> Any:
+            if not isinstance(value, np.ndarray):
+                return str(value)
+            name = str(len(arrays))
+            arrays[name] = value
+            return {ARRAY: name}
+
+        record = json.dumps({"kind": type(self).__name__} | vars(self), default=beside).encode()
         file = io.BytesIO()
-        np.savez(file, allow_pickle=False, record=record, **arrays)
+        np.savez(file, allow_pickle=False, record=np.frombuffer(record, np.uint8), **arrays)
         return file.getvalue()
 
 
 def message_of(content: bytes) -> Any:
     """The inverse of `to_bytes`. Raises ValueError for bytes that are cut short or malformed."""
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as found:
-            values = {name: found[name] for name in found.files}
-        record = json.loads(values.pop("record").tobytes())
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            record = json.loads(
+                file["record"].tobytes(), object_hook=lambda found: file[found[ARRAY]] if ARRAY in found else found
+            )
         kind = {each.__name__: each for each in Message.__subclasses__()}[record.pop("kind")]
-        return kind(**record, **values)
-    except MALFORMED_ERRORS as error:
+        return kind(**record)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
 
 
@@ -71,14 +72,11 @@ class OpenRequest(Message):
 class OpenResponse(Message):
     """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
 
-    numbers: Array  # float32, rows of all shapes (reference/file_calls.py:_shape)
-    faces: Array  # (n, 3) int32
-    texels: Array  # (n, 3) float32, of all bitmaps, row by row
     rays: Array  # (pixels, 7) float32: o, d, t_max through the crop's pixel centres, row by row
     shapes: Sequence[dict[str, Any]]  # reference/file_calls.py:_shape
     placed: Sequence[Any]  # Placements of reference/file_calls.py
-    size: Sequence[int]  # of the film
-    crop: Sequence[int]
+    materials: Mapping[str, dict[str, Any]]  # by name, as the caster has them
+    film: Mapping[str, Any]  # fields of the caster's
     camera: Mapping[str, Any]  # the sensor's plugin and numbers
     lights: Sequence[dict[str, Any]]
     unlit: Sequence[str]  # lights and materials that the caster has not
@@ -169,10 +167,7 @@ class TraceResponse(Message):
     albedo: Array  # (n, 3) float32
     sensor: Array  # (pixels, 7) float32: o, d, t_max through the crop's pixel centres, row by row; none, if not wanted
     origin: Array  # (n, 3) float32, of the ray that leaves each hit, by spawn_ray; none, if not wanted
-    mesh_corners: Array  # (faces, 3, 8) float32: position, normal, uv at corners of mesh files
-    mesh_vertices: Array  # (faces, 3) int32, their indices
-    mesh_faces: Sequence[int]  # face count of each file
-    mesh_problems: Sequence[str]  # for each file, why Mitsuba's loader refused it; "" if it did not
+    loaded: Sequence[Any]  # of each mesh file: (faces, 3, 8) float32 position, normal, uv; the rest as in LoadedMesh
     stored: bool = False  # the stored response to an equal request; no Mitsuba ran, and `seconds` is 0
 
     def __post_init__(self) -> None:
@@ -184,12 +179,8 @@ class TraceResponse(Message):
     @property
     def meshes(self) -> tuple["LoadedMesh", ...]:
         """The mesh files of the request."""
-        ends = np.cumsum(self.mesh_faces, dtype=int)
-        corners, vertices = (
-            np.split(each, ends)[:-1] for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
-        )
-        rows = zip(corners, vertices, self.mesh_problems, strict=True)
-        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
+        files = ((corners.astype(np.float64), *rest) for corners, *rest in self.loaded)
+        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], *rest) for c, *rest in files)
 
 
 class LoadedMesh(NamedTuple):
@@ -222,16 +213,15 @@ class Crash(ProcessEnd):
 
 def start(environment: Mapping[str, str]) -> ResidentProcess:
     """Start a process that answers requests. Raises ProcessEnded while starts are refused."""
-    path = {"PYTHONPATH": user_import_path()}
-    return ResidentProcess(child_command(), {**environment, **path}, cwd=tempfile.gettempdir())
+    return run_module(interpreter(), "mitsuba_ref.reference.mitsuba_process", environment=environment)
 
 
 def run_request(request: Message, timeout: float, environment: Mapping[str, str]) -> Any:
     """The response or Crash of a new process, which ends after one request. environment: added to that of this one."""
     try:
-        with start(environment) as process:
+        with closing(start(environment)) as process:
             return message_of(process.ask(request.to_bytes(), timeout))
     except ProcessEnded as ended:
         return Crash(**vars(ended.end))
-    except (UnexpectedReply, ValueError) as error:
+    except ValueError as error:
         return Crash(0, str(error), 0.0)

@@ -61,11 +61,11 @@ def _trace_request(request: TraceRequest, logger: Any) -> TraceResponse:
         number = request.original["sensor"] if request.original else 0
         sensor = _sensor_rays(scene.sensors()[number], request.variant)
     logger.set_error_level(mi.LogLevel.Error)  # a warning about a mesh file is not one about the scene
-    meshes = _meshes(request)
+    loaded = _meshes(request)
     seconds = time.perf_counter() - start
     if not request.original:
         names = _in_scene_shapes(names, arrays)
-    return TraceResponse(names=names, versions=_versions(request), seconds=seconds, sensor=sensor, **arrays, **meshes)
+    return TraceResponse(names, _versions(request), seconds, sensor=sensor, loaded=loaded, **arrays)
 
 
 def _restore_ellipsoids(scene: Any) -> None:
@@ -91,32 +91,25 @@ def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
     return list(index)
 
 
-def _meshes(request: TraceRequest) -> dict[str, Any]:
+def _meshes(request: TraceRequest) -> list[tuple[Array, Array, str]]:
     """The request's mesh files as Mitsuba's loader reads them, corner by corner, or its message if it refuses one."""
-    corners, faces, problems = [np.zeros((0, 3, 8), np.float32)], [np.zeros((0, 3), np.int32)], []
+    loaded: list[tuple[Array, Array, str]] = []
     for file in map(Path, request.mesh_files):
         try:
             mesh = mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)})
-            faces.append(np.array(mesh.faces_buffer(), np.int32).reshape(-1, 3))
-            corners.append(file_calls.vertices_of(mesh)[faces[-1]])
-            problems.append("")
+            faces = file_calls.faces_of(mesh)
+            loaded.append((file_calls.vertices_of(mesh)[faces], faces, ""))
         except RuntimeError as error:
-            faces.append(faces[0])
-            corners.append(corners[0])
-            problems.append(str(error))
-    return {
-        "mesh_corners": np.concatenate(corners),
-        "mesh_vertices": np.concatenate(faces),
-        "mesh_faces": [len(each) for each in corners[1:]],
-        "mesh_problems": problems,
-    }
+            loaded.append((np.zeros((0, 3, 8), np.float32), np.zeros((0, 3), np.int32), str(error)))
+    return loaded
 
 
 def _sensor_rays(sensor: Any, variant: str) -> Array:
     """(n, 7) o, d, t_max through the pixel centres of the crop window, row by row."""
-    x, y = _pixel_centers(sensor.film())
+    (x0, y0), (width, height) = sensor.film().crop_offset(), sensor.film().crop_size()
+    y, x = (np.ravel(each) for each in np.meshgrid(_centers(y0, height), _centers(x0, width), indexing="ij"))
     aperture, point = mi.Point2f(CENTER), mi.Point2f
-    if _is_vectorised(variant):
+    if not variant.startswith("scalar"):
         ray = _sensor_ray(sensor, point(mi.Float(x), mi.Float(y)), aperture)
         return np.column_stack([_rows(values, len(x)) for values in (ray.o, ray.d, ray.maxt)])
     pairs = zip(x.tolist(), y.tolist(), strict=True)
@@ -132,15 +125,11 @@ def _sensor_ray(sensor: Any, position: Any, aperture: Any) -> Any:
         return sensor.sample_ray_differential(0.0, 0.5, position, aperture)[0]
 
 
-def _pixel_centers(film: Any) -> tuple[Array, Array]:
-    """x and y of the crop window's pixel centres, row by row, rounded as in Mitsuba's integrators."""
-    (x0, y0), (width, height) = film.crop_offset(), film.crop_size()
-    y, x = np.meshgrid(_centers(y0, height), _centers(x0, width), indexing="ij")
-    return np.ascontiguousarray(x.ravel()), np.ascontiguousarray(y.ravel())
-
-
 def _centers(offset: int, size: int) -> Array:
-    """fma(offset + k + 1/2, 1/size, -offset/size) in float32; float64 holds the product of two float32 exactly."""
+    """Pixel centres along an axis of a film, rounded as in Mitsuba's integrators.
+
+    fma(offset + k + 1/2, 1/size, -offset/size) in float32; float64 holds the product of two float32 exactly.
+    """
     scale = np.float32(1.0) / np.float32(size)
     shift = np.float64(-np.float32(offset) * scale)
     return ((offset + np.arange(size) + 0.5) * np.float64(scale) + shift).astype(np.float32)
@@ -155,10 +144,6 @@ def _versions(request: TraceRequest) -> dict[str, str]:
         "libllvm": library or "none",
         "processor": processor.description(),
     }
-
-
-def _is_vectorised(variant: str) -> bool:
-    return not variant.startswith("scalar")
 
 
 # ---- hits
@@ -183,8 +168,8 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
     for k in range(lights):
         columns |= {_RGB % k: found["light_rgb"][k], _VISIBLE % k: found["light_visible"][k]}
     names = {shape.id(): i for i, shape in enumerate(scene.shapes())}
-    vectorised = _is_vectorised(request.variant) and count  # LLVM takes no empty arrays
-    hits = _llvm_hits if vectorised else _scalar_hits
+    scalar = request.variant.startswith("scalar") or not count  # LLVM takes no empty arrays
+    hits = _scalar_hits if scalar else _llvm_hits
     for rows, values in hits(scene, emitters, request, names):
         for name, column in values.items():
             columns[name][rows] = column
@@ -261,21 +246,26 @@ def _array_of(values: list[Any]) -> Array:
 
 
 def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
-    count = len(request.o)
-    o, d, *leaving = (
-        [mi.Float(np.ascontiguousarray(column)) for column in array.T]
-        for array in (request.o, request.d, request.leaving)
-        if array is not None
-    )
-    ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d), mi.Float(request.t_max), mi.Float(0.0), mi.Color0f())
+    count, ray = len(request.o), vectorised_rays(request.o, request.d, request.t_max)
     pi = scene.ray_intersect_preliminary(ray, coherent=True)  # a hint that changes no bit
     si = pi.compute_surface_interaction(ray, int(mi.RayFlags.All))
     hit = si.is_valid()
-    values = _values(scene, emitters, pi, si, hit, *map(mi.Vector3f, leaving))
+    leaving = None if request.leaving is None else mi.Vector3f(_columns(request.leaving))
+    values = _values(scene, emitters, pi, si, hit, leaving)
     dr.eval(pi, si, hit, values)
     rows = np.flatnonzero(_rows(hit, count))
     found = {name: _rows(each, count)[rows] for name, each in values.items()}
     yield rows, found | {"shape": _llvm_shapes(scene, si, count)[rows]}
+
+
+def vectorised_rays(o: Array, d: Array, t_max: Array) -> Any:
+    """A ray of arrays: o and d (n, 3), t_max (n,), float32."""
+    o, d = mi.Point3f(_columns(o)), mi.Vector3f(_columns(d))
+    return mi.Ray3f(o, d, mi.Float(t_max), mi.Float(0.0), mi.Color0f())
+
+
+def _columns(rows: Array) -> list[Any]:
+    return [mi.Float(np.ascontiguousarray(column)) for column in rows.T]
 
 
 def _llvm_shapes(scene: Any, si: Any, count: int) -> Array:

@@ -13,13 +13,13 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from mitsuba_ref.reference import messages, variants
-from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE
+from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, file_stamp
 from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse, start
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
-from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
+from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, serve
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
 
@@ -55,7 +55,7 @@ def ask_resident(request: Request, timeout: float) -> Any:
             process = None
         process = process or start(environment)
         response = messages.message_of(process.ask(request.to_bytes(), timeout))
-    except (ProcessEnded, UnexpectedReply, ValueError):
+    except (ProcessEnded, ValueError):
         if process:
             process.close()
         return None
@@ -86,7 +86,6 @@ SOURCES = tuple(Path(__file__).with_name(name) for name in ("mitsuba_calls.py", 
 def request_key(request: TraceRequest) -> str:
     """A hash of all that the response depends on. The files of the scene lie in its folder, as exported."""
     library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
-    size = os.path.getsize(library) if os.path.exists(library) else ""
     exported = [] if request.original else request.xml.parent.rglob("*")  # the files of an original are in its digest
     files = [*request.mesh_files, *sorted(path for path in exported if path.is_file())]
     named = replace(request, xml=Path(request.xml.name), mesh_files=[Path(file.name) for file in request.mesh_files])
@@ -95,7 +94,7 @@ def request_key(request: TraceRequest) -> str:
             repr(machine()),
             environment_settings(*REFERENCE_SETTINGS),
             *(source.read_bytes() for source in SOURCES),
-            f"{library} {size}",
+            file_stamp(library),
             named.to_bytes(),
             *(part for file in files for part in (file.name, file.read_bytes())),
         ]
@@ -127,7 +126,7 @@ def respond(content: bytes) -> bytes:
         return mitsuba_calls.answer(messages.message_of(content)).to_bytes()
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
-        end_process(1)
+        os._exit(1)  # without the interpreter's cleanup, in which Dr.Jit has been seen to hang
 
 
 def is_large() -> bool:
@@ -142,13 +141,6 @@ def is_large() -> bool:
     return used > RESIDENT_BYTES
 
 
-def end_process(code: int) -> NoReturn:
-    """End without the interpreter's cleanup, in which Dr.Jit has been seen to hang after all output was written."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
 if __name__ == "__main__":
     serve(respond, IDLE_SECONDS, is_large)
-    end_process(0)
+    os._exit(0)

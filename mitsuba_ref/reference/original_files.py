@@ -75,7 +75,9 @@ def open_scene(
     request = OpenRequest(file, dict(parameters), sensor, size and list(size), folders, not as_in_file(), variant)
     found = send_request(request, DEFAULT_TIMEOUT)
     if isinstance(found, Crash):
-        raise SceneError(f"{path}: Mitsuba refuses it: {_refusal(found)}")
+        words = found.output.strip()
+        hint = "; give it by -D NAME=VALUE" if "$" in words and "undefined" in words.lower() else ""
+        raise SceneError(f"{path}: Mitsuba refuses it: {words}{hint}")
     if isinstance(found, OpenRefusal):
         if found.problem:
             raise SceneError(f"{path}: {found.problem}")
@@ -84,57 +86,45 @@ def open_scene(
     return _scene(path, replace(request, digest=digest), found, strict)
 
 
-def _refusal(crash: Crash) -> str:
-    """Mitsuba's message, and a way out."""
-    words = crash.output.strip()
-    hint = "; give it by -D NAME=VALUE" if "$" in words and "undefined" in words.lower() else ""
-    return f"{words}{hint}"
-
-
 Placed = tuple[Shape, str, float]  # a shape, its name in Mitsuba's answers, its condition (originals.Original)
 
 
 def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str], list[str]]:
     """The shapes that are judged, the others, with their places and reasons, and textures that have no uv."""
-    numbers, faces = _pieces(found, "numbers"), _pieces(found, "faces")
     judged: list[Placed] = []
     left_out, unlit, names = list[str](), list[str](), set[str]()
     triangles = 0
     for key, number, label, matrix in found.placed:
         record = found.shapes[number]
-        name = _distinct(label, f"{record['plugin']}-{key.replace('/', '-')}", names)
-        fields = {"name": name} | ({} if record["material"] is None else {"material": record["material_name"]})
+        otherwise, count = f"{record['plugin']}-{key.replace('/', '-')}", len(record.get("faces", ()))
+        name = label if label and label.isprintable() else otherwise
+        name = f"{name}-{otherwise}" if name in names else name
+        material = record["material"]
         try:
-            if triangles + record["faces"] > MAX_TRIANGLES:
+            if triangles + count > MAX_TRIANGLES:
                 raise SceneError(f"{MAX_TRIANGLES:,} triangles are the most that a scene may have")
-            shape = _shape(record, numbers[number], faces[number], matrix, fields)
-            if reason := _textureless(record, shape, matrix):
+            shape = _shape(record, matrix, {"name": name} | ({"material": material} if material else {}))
+            if material and (reason := _textureless(found.materials[material], shape, matrix)):
                 unlit.append(f"the texture of {record['plugin']} {name!r} at {record['place']}: {reason}")
-                shape = _shape(record, numbers[number], faces[number], matrix, {"name": name})
+                shape = _shape(record, matrix, {"name": name})
         except SceneError as reason:
             why = "; ".join(str(reason).splitlines())
             left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {why}")
             continue
-        triangles += record["faces"]
+        triangles += count
         names.add(name)
         judged.append((shape, key, 0.0 if matrix is None else _condition(np.array(matrix)[:3, :3])))
     return judged, left_out, unlit
 
 
-def _textureless(record: Mapping[str, Any], shape: Shape, instance: Any) -> str:
+def _textureless(material: Mapping[str, Any], shape: Shape, instance: Any) -> str:
     """Why a shape cannot have the texture of its material; "" if it can or there is none."""
-    texture = (record["material"] or {}).get("reflectance")
+    texture = material.get("reflectance")
     if not isinstance(texture, dict):
         return ""
     if texture["type"] != "mesh_colors":
         return shape.without_uv()
     return "Mitsuba interpolates colours of an instance elsewhere" if instance else ""
-
-
-def _pieces(found: OpenResponse, name: str) -> list[Array]:
-    """The numbers or faces of each shape."""
-    sizes = [record[name] for record in found.shapes]
-    return np.split(getattr(found, name), np.cumsum(sizes, dtype=int)[:-1])
 
 
 def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -> MitsubaScene:
@@ -148,17 +138,13 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     unlit = [*found.unlit, *without_uv] or ([] if found.lights else ["the file has no light"])
     if left_out:
         unlit.append(f"the shadows of the {len(left_out)} shapes that are left out are missing")
-    x0, y0, x1, y1 = found.crop
-    whole = (x0, y0, x1, y1) == (0, 0, *found.size)
-    film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
+    film = Film(**found.film)
     camera, exact, note = camera_of(found.camera)
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
-    view = {"type": "pinhole", "eye": o, "direction": d, "up": _across(d)}  # for whatever needs some camera
+    across = np.eye(3)[np.argmin(np.abs(d))].tolist()  # not parallel to d
+    view = {"type": "pinhole", "eye": o, "direction": d, "up": across}  # for whatever needs some camera
     parts: dict[str, Any] = {"film": film, "camera": camera or view, "lights": tuple(found.lights)}
-    materials = {each["material_name"]: each["material"] for each in found.shapes if each["material"] is not None}
-    parts |= {"materials": {name: _with_texels(material, found) for name, material in materials.items()}}
-    parts["shapes"] = shapes
-    scene = MitsubaScene(**parts)
+    scene = MitsubaScene(**parts, materials=found.materials, shapes=shapes)
     start = np.zeros(len(found.rays))
     if camera and camera["type"] == "pinhole":
         start = row_lengths(found.rays[:, :3].astype(float) - np.array(scene.camera.eye))
@@ -181,19 +167,6 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     return scene
 
 
-def _with_texels(material: Mapping[str, Any], found: OpenResponse) -> Mapping[str, Any]:
-    """A material with the texels of its bitmap, or the colours of its mesh, if it has them."""
-    picture = material.get("reflectance")
-    if not isinstance(picture, Mapping) or "texels" not in picture:
-        return material
-    first, height, width = picture["texels"]
-    data = found.texels[first : first + height * width].reshape(height, width, 3)
-    if picture["type"] == "mesh_colors":
-        return {**material, "reflectance": {"type": "mesh_colors", picture["of"]: data[:, 0]}}
-    rest = {name: value for name, value in picture.items() if name != "texels"}
-    return {**material, "reflectance": rest | {"data": data}}
-
-
 def _hits_others(scene: MitsubaScene) -> Array:
     """(n,) bool: rays that hit a shape in Mitsuba which is not judged."""
     rays = shared_rays(scene)
@@ -202,18 +175,6 @@ def _hits_others(scene: MitsubaScene) -> Array:
     if isinstance(found, Crash):
         raise SceneError(found.message)
     return found.hit & (found.shape_id < 0)
-
-
-def _across(d: Sequence[float]) -> Sequence[float]:
-    """A direction that is not parallel to d."""
-    rows: list[list[float]] = np.eye(3).tolist()
-    return rows[int(np.argmin(np.abs(d)))]
-
-
-def _distinct(label: str, otherwise: str, taken: set[str]) -> str:
-    """A printable name that no other shape has."""
-    name = label if label.isprintable() and label else otherwise
-    return name if name not in taken else f"{name}-{otherwise}"
 
 
 # ---- shapes
@@ -236,13 +197,14 @@ class MeshOfInstance(Mesh):
         return part._replace(normals=rounded(turned / row_lengths(turned).max()))
 
 
-def _shape(record: Mapping[str, Any], numbers: Array, faces: Array, instance: Any, named: Any) -> Shape:
+def _shape(record: Mapping[str, Any], instance: Any, named: Any) -> Shape:
     """A shape of the caster. instance: its matrix, or None. named: more fields. Raises SceneError with the reason."""
     outer = np.eye(4) if instance is None else np.array(instance)
     if not (kind := record["kind"]):
         raise SceneError(f"the caster has no {record['plugin']}")
-    rows, flipped = numbers.reshape(-1, record["columns"]).astype(np.float64), record["flipped"]
+    rows, flipped = np.array(record.get("rows", ()), np.float64), record["flipped"]
     if kind == "mesh":
+        faces = record["faces"]
         mirrored = is_mirrored(outer)  # ours has the corners in another order then, and so other barycentrics
         fields: dict[str, Any] = {
             "vertices": rows[:, :3],

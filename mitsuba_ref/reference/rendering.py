@@ -119,9 +119,7 @@ def trace_reference(
     )
 
 
-def aovs_of(
-    result: ReferenceResult, rays: SharedRays, shape: tuple[int, int], names: Sequence[str] = REFERENCE_AOVS
-) -> Aovs:
+def aovs_of(result: ReferenceResult, rays: SharedRays, shape: tuple[int, int], names: Sequence[str]) -> Aovs:
     """Images (height, width) of a result, with the caster's values for misses."""
     answer, hit = result.answer, result.hit
     length = norm(rays.d.astype(np.float64))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Comment, Element, SubElement, fromstring, indent, tostring
+from xml.etree.ElementTree import Comment, Element, fromstring, indent, tostring
 
 import numpy as np
 
@@ -168,14 +168,15 @@ class SceneExport:
     meshes: dict[str, bytes]
     notes: list[str]
 
-    def write(self, folder: Path, name: str = "scene.xml") -> Path:
+    def write(self, folder: Path) -> Path:
         """Write everything into a folder, creating it; returns the path of the XML. Raises OutputError."""
         check_folder(folder)
         for file, content in self.meshes.items():
             check_folder((folder / file).parent)
             write_bytes(folder / file, content)
-        write_text(folder / name, self.xml)
-        return folder / name
+        path = folder / "scene.xml"
+        write_text(path, self.xml)
+        return path
 
 
 def export_scene(scene: Scene) -> SceneExport:
@@ -217,9 +218,7 @@ def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
     """Clip planes that cut nothing off, from the farthest corner of bounded primitives and the eye."""
     reach = float(np.abs(scene.camera.eye).max())
     for corners in model.boxes:
-        finite = np.isfinite(corners)
-        low, high = corners.min(initial=0.0, where=finite), corners.max(initial=0.0, where=finite)
-        reach = max(reach, -float(low), float(high))
+        reach = max(reach, float(np.abs(corners).max(initial=0.0, where=np.isfinite(corners))))
     reach = reach or 1.0  # everything is at the origin
     return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
 
@@ -261,9 +260,8 @@ def bsdf_element(material: Material, files: dict[str, bytes]) -> XmlElement:
     if material.type == "mirror":
         return fromstring('<bsdf type="conductor"><string name="material" value="none"/></bsdf>')
     if material.type == "glass":
-        index = '<float name="{}" value="{}"/>'
-        indices = index.format("int_ior", repr(material.ior)) + index.format("ext_ior", "1")
-        return fromstring(f'<bsdf type="dielectric">{indices}</bsdf>')
+        inner = f'<float name="int_ior" value="{material.ior!r}"/>'
+        return fromstring(f'<bsdf type="dielectric">{inner}<float name="ext_ior" value="1"/></bsdf>')
     diffuse = Element("bsdf", type="diffuse")
     texture = material.texture
     diffuse.append(texture_element(texture, files) if texture else rgb_element("reflectance", material.color))
@@ -287,17 +285,23 @@ BITMAP = """<texture type="bitmap" name="reflectance">
     <string name="format" value="variant"/>
     <boolean name="accel" value="false"/>
 </texture>"""
+MESH_COLORS = """<texture type="mesh_attribute" name="reflectance">
+    <string name="name" value="{name}"/>
+</texture>"""
 
 
 def texture_element(texture: Any, files: dict[str, bytes]) -> XmlElement:
     """A texture. A PNG file is handed over as it is, an array as a PFM file of float32 values."""
     if isinstance(texture, MeshColors):  # they are in the PLY file
-        colors: XmlElement = Element("texture", type="mesh_attribute", name="reflectance")
         name = "face_color" if texture.vertices is None else "vertex_color"
-        SubElement(colors, "string", name="name", value=name)
-        return colors
+        return fromstring(MESH_COLORS.format(name=name))
     if isinstance(texture, Bitmap):
-        content, suffix, raw = _picture(texture)
+        if texture.file is not None:
+            content, suffix, raw = read_input(texture.file, "picture"), ".png", texture.raw
+        else:
+            height, width, _ = texture.texels.shape  # rows from the last one on
+            head, rows = b"PF\n%d %d\n-1.0\n" % (width, height), texture.texels[::-1]
+            content, suffix, raw = head + rows.astype("<f4").tobytes(), ".pfm", True
         file = f"textures/{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
         files[file] = content
         text = BITMAP.format(file=file, filter=texture.filter, wrap=texture.wrap, raw=str(raw).lower())
@@ -311,14 +315,6 @@ def texture_element(texture: Any, files: dict[str, bytes]) -> XmlElement:
     transform.set("name", "to_uv")
     element.append(transform)
     return element
-
-
-def _picture(bitmap: Bitmap) -> tuple[bytes, str, bool]:
-    """(content of the file, its suffix, whether its numbers are linear)."""
-    if bitmap.file is not None:
-        return read_input(bitmap.file, "picture"), ".png", bitmap.raw
-    height, width, _ = bitmap.texels.shape  # rows from the last one on
-    return b"PF\n%d %d\n-1.0\n" % (width, height) + bitmap.texels[::-1].astype("<f4").tobytes(), ".pfm", True
 
 
 def light_element(light: Any) -> XmlElement:

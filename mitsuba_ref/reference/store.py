@@ -9,8 +9,8 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import random
 import sys
-import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -44,13 +44,11 @@ class StoreFolder:
         try:
             content = None if self.refusal() else read_sealed(path)
             os.utime(path)  # used
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError):  # another user's, or damaged
+            return content
+        except (OSError, ValueError):  # missing, another user's, or damaged
             with contextlib.suppress(OSError):
                 path.unlink()
             return None
-        return content
 
     def put(self, key: str, content: bytes) -> None:
         """Store bytes under a key; they may be dropped at any time. Never raises."""
@@ -59,7 +57,7 @@ class StoreFolder:
         except OSError:
             return
         if not self.refusal() and len(content) < self.limit:
-            if zlib.crc32(key.encode()) * self.limit < len(content) * LISTINGS << 32:
+            if random.random() * self.limit < len(content) * LISTINGS:
                 self._make_room(len(content))
             write_sealed(self.folder / f"{key}{SUFFIX}", content)
 

@@ -30,6 +30,19 @@ REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be g
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
 
+# Runs a module of ours. Our packages come from their own folder, which may be the site-packages of another interpreter.
+RUN_MODULE = """
+import importlib.util, runpy, sys
+root, module = sys.argv[1:3]
+del sys.argv[1:3]
+for name in ("caster", "mitsuba_ref"):
+    folder = root + "/" + name
+    spec = importlib.util.spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+runpy.run_module(module, run_name="__main__")
+"""
+
 _running: set[int] = set()  # process groups
 _starting = threading.Lock()
 _starts_refused = threading.Event()
@@ -102,9 +115,7 @@ def allow_subprocesses() -> None:
     _starts_refused.clear()
 
 
-def run(
-    command: Sequence[str], timeout: float, environment: Mapping[str, str] | None = None, cwd: str | None = None
-) -> ProcessEnd:
+def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] | None = None) -> ProcessEnd:
     """Run a command to its end, or kill it after `timeout` seconds. environment: added to that of this process.
 
     Raises OSError where the command cannot be started.
@@ -112,7 +123,7 @@ def run(
     begin = time.monotonic()
     with tempfile.TemporaryFile() as output:
         try:
-            child = _start(command, output, stdin=subprocess.DEVNULL, environment=environment, cwd=cwd)
+            child = _start(command, output, environment)
         except ProcessEnded as refused:
             return refused.end
         code: int | None = None
@@ -125,7 +136,7 @@ def run(
         return ProcessEnd(code, captured(output), time.monotonic() - begin)
 
 
-class UnexpectedReply(Exception):  # noqa: N818 - an outcome, not a mistake of the program
+class UnexpectedReply(ValueError):  # noqa: N818 - an outcome, not a mistake of the program
     """A child sent bytes that are not a reply; the text says what was expected."""
 
 
@@ -142,42 +153,21 @@ def _length(head: bytes) -> int:
 
 
 class ResidentProcess:
-    """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured.
-
-    Close it, or use it as a context.
-    """
+    """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured. Close it."""
 
     def __init__(
-        self,
-        command: Sequence[str],
-        environment: Mapping[str, str] | None = None,
-        cwd: str | None = None,
-        pass_fds: Sequence[int] = (),
+        self, command: Sequence[str], environment: Mapping[str, str] | None = None, cwd: str | None = None
     ) -> None:
         """Raises OSError, ProcessEnded where it cannot be started."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         try:
-            self.process = _start(
-                command,
-                self._output,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                cwd=cwd,
-                environment=environment,
-                pass_fds=pass_fds,
-            )
+            self.process = _start(command, self._output, environment, cwd=cwd, pipes=True)
         except BaseException:
             self._output.close()
             raise
         assert self.process.stdin is not None and self.process.stdout is not None
         self._stdin, self._stdout = self.process.stdin.fileno(), self.process.stdout.fileno()
         os.set_blocking(self._stdin, False)
-
-    def __enter__(self) -> "ResidentProcess":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def alive(self) -> bool:
@@ -192,40 +182,37 @@ class ResidentProcess:
 
         Raises ProcessEnded, or UnexpectedReply (length_of may), after closing the process.
         """
-        try:
-            return self._exchange(data, timeout, length_of)
-        except BaseException:  # also Ctrl-C: the child may be in the middle of a request
-            self.close()
-            raise
-
-    def _exchange(self, data: bytes, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
         begin = time.monotonic()
         os.ftruncate(self._output.fileno(), 0)  # what it printed beside earlier replies
         os.lseek(self._output.fileno(), 0, os.SEEK_SET)  # the child writes at the same offset
         left, reply, expected = memoryview(data), bytearray(), HEAD_BYTES
-        while left or len(reply) < expected:
-            seconds = max(begin + timeout - time.monotonic(), 0.0)
-            readable, writable, _ = select.select([self._stdout], [self._stdin] if left else [], [], seconds)
-            if not readable and not writable:
-                raise ProcessEnded(self._ended(begin, late=True))
-            if readable:
-                received = os.read(self._stdout, 1 << 20)
-                if not received:
-                    raise ProcessEnded(self._ended(begin))
-                reply += received
-            elif writable:
-                try:
+        try:
+            while left or len(reply) < expected:
+                seconds = max(begin + timeout - time.monotonic(), 0.0)
+                readable, writable, _ = select.select([self._stdout], [self._stdin] if left else [], [], seconds)
+                if not readable and not writable:
+                    raise self._ended(begin, late=True)
+                if readable:
+                    received = os.read(self._stdout, 1 << 20)
+                    if not received:
+                        raise self._ended(begin)
+                    reply += received
+                else:
                     left = left[os.write(self._stdin, left[: 1 << 20]) :]
-                except BrokenPipeError:
-                    raise ProcessEnded(self._ended(begin)) from None
-            if len(reply) >= HEAD_BYTES and expected == HEAD_BYTES:
-                expected += length_of(bytes(reply[:HEAD_BYTES]))
+                if len(reply) >= HEAD_BYTES and expected == HEAD_BYTES:
+                    expected += length_of(bytes(reply[:HEAD_BYTES]))
+        except BrokenPipeError:
+            raise self._ended(begin) from None
+        except BaseException:  # also Ctrl-C: the child may be in the middle of a request
+            self.close()
+            raise
         if len(reply) > expected:
+            self.close()
             raise UnexpectedReply(f"{len(reply) - expected} bytes more than it announced")
         return bytes(reply)
 
-    def _ended(self, begin: float, *, late: bool = False) -> ProcessEnd:
-        """Kill a process that did not answer, at once if it is late, else after some seconds; returns its end."""
+    def _ended(self, begin: float, *, late: bool = False) -> ProcessEnded:
+        """Close a process that did not answer, at once if it is late, else after some seconds; returns its end."""
         code: int | None = None
         if not late:
             try:
@@ -233,7 +220,9 @@ class ResidentProcess:
             except subprocess.TimeoutExpired:
                 code = -signal.SIGKILL
         _kill_and_reap(self.process)
-        return ProcessEnd(code, captured(self._output), time.monotonic() - begin)
+        end = ProcessEnd(code, captured(self._output), time.monotonic() - begin)
+        self.close()
+        return ProcessEnded(end)
 
     def close(self) -> None:
         """Kill it and close its pipes and files; a second call does nothing."""
@@ -276,12 +265,17 @@ def _read(file: IO[bytes], count: int) -> bytes:
     return bytes(data)
 
 
+def run_module(python: str, module: str, *words: str, environment: Mapping[str, str]) -> ResidentProcess:
+    """Run a module of ours that calls `serve`, in a Python that does not import from the current folder.
+
+    Raises ProcessEnded while starts are refused.
+    """
+    command = [python, "-P", "-c", RUN_MODULE, str(PACKAGE_PARENT), module, *words]
+    path = {"PYTHONPATH": import_path()}
+    return ResidentProcess(command, {**environment, **path}, cwd=tempfile.gettempdir())
+
+
 def import_path() -> str:
-    """PYTHONPATH for children: this package, then the user's entries."""
-    return os.pathsep.join(filter(None, [str(PACKAGE_PARENT), user_import_path()]))
-
-
-def user_import_path() -> str:
     """The user's PYTHONPATH without the current folder (an empty entry)."""
     entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     here = Path.cwd()
@@ -302,14 +296,12 @@ def captured(output: IO[bytes]) -> str:
 def _start(
     command: Sequence[str],
     output: IO[bytes],
+    environment: Mapping[str, str] | None,
     *,
-    stdin: int,
     cwd: str | None = None,
-    environment: Mapping[str, str] | None = None,
-    stdout: int | None = None,
-    pass_fds: Sequence[int] = (),
+    pipes: bool = False,
 ) -> subprocess.Popen[bytes]:
-    """Start a command in a session of its own. stdout: in place of `output`.
+    """Start a command in a session of its own. pipes: its stdin and stdout are pipes; else stdout goes to `output`.
 
     Raises ProcessEnded while starts are refused, and OSError.
     """
@@ -320,10 +312,9 @@ def _start(
             command,
             cwd=cwd,
             env={**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())},
-            stdin=stdin,
-            stdout=output if stdout is None else stdout,
+            stdin=subprocess.PIPE if pipes else subprocess.DEVNULL,
+            stdout=subprocess.PIPE if pipes else output,
             stderr=output,
-            pass_fds=pass_fds,
             start_new_session=True,  # Ctrl-C is for this process, which then ends the child
         )
         _running.add(child.pid)

@@ -15,8 +15,8 @@ from caster.description.errors import SceneError, suggestion
 from caster.system.atomic_files import ScratchFolder
 from caster.system.terminal import folded
 from mitsuba_ref.reference import messages
-from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, installation
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, file_stamp, installation
+from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine, user_store
 
 SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
@@ -66,10 +66,7 @@ def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
         fresh = {**settings, "DRJIT_CACHE_DIR": name}  # a cached kernel would hide an abort
         o, d = np.array([[1, 0.5, 8], [9, 0.5, 8]], np.float32), np.array([[0, 0, -1]] * 2, np.float32)
         request = TraceRequest(folder / "scene.xml", variant, o, d, np.full(2, np.inf, np.float32))
-        return _response_problem(messages.run_request(request, SMOKE_TEST_TIMEOUT_SECONDS, fresh))
-
-
-def _response_problem(response: TraceResponse | Crash) -> str:
+        response = messages.run_request(request, SMOKE_TEST_TIMEOUT_SECONDS, fresh)
     if isinstance(response, Crash):
         return response.brief
     (t, miss), normals = response.t.tolist(), response.sh_n.astype(np.float64)
@@ -140,7 +137,6 @@ def usable_variants() -> Variants:
     return Variants(not scalar, library, _brief(problems), "; ".join(problems))
 
 
-TRIED = "tried: "  # begins a stored outcome
 _outcomes: dict[str, str] = {}  # of this process
 
 
@@ -150,16 +146,16 @@ def _problem(variant: str, library: str | None = None) -> str:
     Loading a library runs its code: one is loaded only where it is a candidate, whatever the store names.
     """
     parts = [Path(__file__).read_text(encoding="utf-8"), platform.node(), repr(machine()), variant]
-    stamp = f"{library} {_file_stamp(library)}" if library else ""
-    key = key_of([*parts, environment_settings(*REFERENCE_SETTINGS), stamp])
+    settings = {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {}
+    key = key_of([*parts, environment_settings(*REFERENCE_SETTINGS), file_stamp(library or "")])
     if key not in _outcomes:
-        _, mark, stored = (user_store().get(key) or b"").decode(errors="replace").partition(TRIED)
-        problem = stored if mark else smoke_test(variant, {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {})
+        stored = user_store().get(key)
+        problem = smoke_test(variant, settings) if stored is None else stored.decode()
         # A Mitsuba that cannot be imported may be half installed, a GPU may come; after the other two, a machine was
         # busy or out of memory.
         for_now = problem.startswith("exit code") and variant != LLVM
         if not for_now and not any(word in problem for word in ("killed", "SIGKILL")):
-            user_store().put(key, f"{TRIED}{problem}".encode())
+            user_store().put(key, problem.encode(errors="replace"))
         _outcomes[key] = problem
     return _outcomes[key]
 
@@ -235,25 +231,12 @@ def _candidates() -> list[str]:
     own = filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
     patterns = [*LIBLLVM_PATTERNS, *(f"{folder}/libLLVM*.so*" for folder in own)]
     found = {os.path.realpath(path) for pattern in patterns for path in glob.glob(pattern)}
-    return sorted(
-        (path for path in found if WHOLE_LLVM.search(path) and os.path.isfile(path)), key=_version, reverse=True
-    )
+    whole = [path for path in found if WHOLE_LLVM.search(path) and os.path.isfile(path)]
+    return sorted(whole, key=lambda path: ([*map(int, re.findall(r"\d+", Path(path).name))], path), reverse=True)
 
 
 # A path of the whole LLVM library, not of a part or a fork of it.
 WHOLE_LLVM = re.compile(r"/libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*$")
-
-
-def _version(path: str) -> tuple[list[int], str]:
-    return [int(number) for number in re.findall(r"\d+", Path(path).name)], path
-
-
-def _file_stamp(path: str) -> str:
-    try:
-        status = os.stat(path)
-    except OSError:
-        return "missing"
-    return f"{status.st_size} {status.st_mtime_ns}"
 
 
 MAX_PROBLEM_CHARACTERS, MAX_PROBLEMS = 110, 2  # in one line

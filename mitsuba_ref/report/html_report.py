@@ -25,7 +25,7 @@ from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
-from mitsuba_ref.report.reproducers import replay_around
+from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import CODES, SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import (
     broken_checks,
@@ -211,7 +211,7 @@ def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
         "seconds": round(verdict.seconds, 2),
         "failed_at": sorted(failing_checks(verdict)),
         "failure": "" if verdict.ok else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
-        "replay": verdict.replay,
+        "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
         "bounce": verdict.bounce,
         "view": verdict.view,

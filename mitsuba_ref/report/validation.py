@@ -19,7 +19,7 @@ from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import write_reproducers
 from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, short_text
-from mitsuba_ref.subjects.bounce_films import bounce_film
+from mitsuba_ref.subjects.bounce_films import bounce_films
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -75,7 +75,7 @@ def validate_scene(
     start = time.perf_counter()
     task = Task(scene, name, path, subject, rays, timeout, send, thorough)
     if bounce:
-        secondary = bounce_film(scene, bounce)
+        secondary = next((film for film in bounce_films(scene, bounce) if film.bounce.number == bounce), None)
         if secondary is None:
             return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=("no rays are left",))
         task = task._replace(scene=secondary.scene, rays=secondary.rays, bounce=secondary)
@@ -113,7 +113,7 @@ def _cast_as_judged(scene: Scene) -> None:
 # ---- memory that judging a film needs ----
 
 # Growth of the largest resident size of `validate` from 512 x 512 to 1024 x 1024 pixels, by the pixels: rays, answers
-# of both sides, bounds and classes, in float64. 1040 bytes (parabolic), 1280 (cornell-box), 1430 (every-shape) and 1440
+# of both sides, bounds and classes, in float64. 1280 bytes (cornell-box), 1430 (every-shape) and 1440
 # (one-sphere) with one or two lights, 2020 with four (lights-and-shadows).
 BYTES_PER_PIXEL, BYTES_PER_PIXEL_AND_LIGHT, LIGHTS_WITHIN = 1450, 290, 2
 

@@ -42,11 +42,12 @@ class Source(NamedTuple):
 
 @cache
 def sources() -> dict[str, Source]:
-    """Every source file of both packages, by the name of its module."""
+    """Every source file of both packages, with the data of its module, by the name of the module."""
     root, found = Path(__file__).resolve().parents[2], {}
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
-            data, name = path.read_bytes(), ".".join(path.relative_to(root).with_suffix("").parts)
+            name = ".".join(path.relative_to(root).with_suffix("").parts)
+            data = b"".join(each.read_bytes() for each in sorted(path.parent.glob(f"{path.stem}.*")))  # teapot.txt, too
             found[name] = Source(hashlib.sha256(data).hexdigest(), frozenset(MODULE_NAME.findall(data.decode())))
     return found
 

@@ -118,7 +118,8 @@ def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
             except (pickle.PicklingError, AttributeError, TypeError) as error:
                 calls.send((None, TypeError(f"{function}: its result has no pickle: {error}")))
     except (EOFError, OSError, KeyboardInterrupt):  # the last for SIGTERM
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the end of the parent may send one more
+        # The end of the parent may send one more. Ignored, it would be reported where it arrives just now.
+        signal.signal(signal.SIGTERM, lambda number, frame: None)
         kill_subprocesses()
         os._exit(0)
     except SystemExit as end:  # raised by the called function

@@ -54,8 +54,3 @@ def bounce_films(scene: Scene, depth: int) -> Iterator[BounceFilm]:
         listed[row] = np.column_stack(rays[:4])
         film, shared = lay_out(scene, RayList(listed, width if fits else 0))
         yield BounceFilm(film, shared, bounce, row, scene)
-
-
-def bounce_film(scene: Scene, number: int) -> BounceFilm | None:
-    """The film of one bounce; None where no rays are left."""
-    return next((film for film in bounce_films(scene, number) if film.bounce.number == number), None)

@@ -13,13 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.packing import Packed
+from caster.geometry.packing import Packed, concatenate_parts
 from caster.image.exr import Exr, UnreadableExr, read_exr
-from caster.scene.model import Scene
 from caster.system.terminal import printable
-from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.tolerances import KU, U32
+from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
     HEAD_BYTES,
@@ -31,7 +29,7 @@ from mitsuba_ref.reference.subprocess_runner import (
     length_first,
     run,
 )
-from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_numbered_hits, hit_columns
+from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import (
     FLOAT32,
     FLOAT64,
@@ -192,13 +190,6 @@ def answer_from_exr(exr: Exr, request: CastRequest, subject: "CommandSubject | E
     )
 
 
-def camera_rounding(scene: Scene) -> tuple[float, float]:
-    """Effect of float32 rounding on camera rays: change of d relative to its length, shift of o in scene units."""
-    turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
-    reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
-    return turn, turn * reach
-
-
 @dataclass(frozen=True)
 class ExrFile(Subject):
     """An EXR file that was rendered beforehand with the scene's camera."""
@@ -247,16 +238,17 @@ def mesh_bytes(packed: Packed) -> bytes:
     """All triangles of a scene: v, f as int64, (v, 3) float32, (f, 3) int32. Raises Unsupported for other shapes."""
     if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
         raise Unsupported(f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{toml}}")
-    first = np.cumsum([0, *(len(part.vertices) for part in packed.parts)])
-    vertices = np.concatenate([part.vertices for part in packed.parts]).astype("<f4")
-    faces = [part.faces + start for part, start in zip(packed.parts, first, strict=False)]
-    corners = np.concatenate(faces).astype("<i4")
-    return np.array([len(vertices), len(corners)], "<i8").tobytes() + vertices.tobytes() + corners.tobytes()
+    mesh = concatenate_parts(packed.parts)
+    counts = np.array([len(mesh.vertices), len(mesh.faces)], "<i8")
+    return counts.tobytes() + mesh.vertices.astype("<f4").tobytes() + mesh.faces.astype("<i4").tobytes()
+
+
+HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}
 
 
 @dataclass(frozen=True)
 class RayProgram(Program):
-    """A program that casts given rays."""
+    """A program that casts given rays and answers with rows of HIT_COLUMNS."""
 
     takes_rays: ClassVar[bool] = True
     takes_limits: bool = True  # its interface has t_min and t_max
@@ -286,8 +278,16 @@ class RayProgram(Program):
         if len(data) not in lengths:
             raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
         rows = np.frombuffer(data, self.numbers).reshape(-1, lengths[len(data)])
-        hits, packed = hit_columns(rows), request.model.packed
-        return answer_of_numbered_hits(hits, request.rays, packed, self.precision, limits=self.takes_limits)
+        hits = {"t": rows[:, 0]}
+        if rows.shape[1] >= 4:
+            hits["n"] = rows[:, 1:4]
+        if rows.shape[1] == 5:
+            number = rows[:, 4]
+            whole = (np.abs(number) < 2.0**31) & (number == np.floor(number))
+            hits["prim_id"] = np.where(whole, number, -2).astype(np.int64)
+        return answer_of_numbered_hits(
+            hits, request.rays, request.model.packed, self.precision, limits=self.takes_limits
+        )
 
 
 @dataclass(frozen=True)
@@ -335,18 +335,12 @@ class ServedCommand(RayProgram):
                 )
             return max(length, 0)
 
-        with _one_at_a_time:
-            reply = self._reply(b"".join(map(length_first, parts)), length_of)
-        if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
-            raise Unsupported("the program declined the scene")
-        return self.answer_of_bytes(reply[HEAD_BYTES:], request, "its response")
-
-    def _reply(self, data: bytes, length_of: Callable[[bytes], int]) -> bytes:
         try:
-            if self.words not in served or not served[self.words].alive:
-                served[self.words] = ResidentProcess(self.words)
-                atexit.register(served[self.words].close)
-            return served[self.words].request(data, self.seconds, length_of)
+            with _one_at_a_time:
+                if self.words not in served or not served[self.words].alive:
+                    served[self.words] = ResidentProcess(self.words)
+                    atexit.register(served[self.words].close)
+                reply = served[self.words].request(b"".join(map(length_first, parts)), self.seconds, length_of)
         except OSError as error:
             raise NoAnswer(f"{self.words[0]} could not be started: {error.strerror}") from error
         except UnexpectedReply as error:
@@ -354,3 +348,6 @@ class ServedCommand(RayProgram):
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
             raise NoAnswer(f"the program ended before its response was whole{_last_words(ended.end)}") from None
+        if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
+            raise Unsupported("the program declined the scene")
+        return self.answer_of_bytes(reply[HEAD_BYTES:], request, "its response")

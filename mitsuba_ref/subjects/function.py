@@ -51,12 +51,10 @@ def imported(text: str) -> Callable[..., Any]:
             found: Any = importlib.import_module(module)
     except KeyboardInterrupt:
         raise
-    except ModuleNotFoundError as error:
-        if not f"{module}.".startswith(f"{error.name}."):  # one that the module imports
-            raise SceneError(f"cannot import {module}: {_exception_with_calls(error)}") from error
-        where = f"{here}, then among the installed packages and in PYTHONPATH"
-        raise SceneError(f"there is no module {module}: looked in {where}") from error
     except BaseException as error:  # also SystemExit, which would end the program with its own exit code
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):  # not one it imports
+            where = f"{here}, then among the installed packages and in PYTHONPATH"
+            raise SceneError(f"there is no module {module}: looked in {where}") from error
         raise SceneError(f"cannot import {module}: {_exception_with_calls(error)}") from error
     for name in path.split("."):
         if not hasattr(found, name):
@@ -99,7 +97,6 @@ def function_subject(call: Callable[..., Any], name: str = "", precision: str | 
 
 
 CALLED = "it is called as function(scene, o, d), with o and d (n, 3) float64, and returns (t, n)"
-LIMITS = ("t_min", "t_max")  # further parameters that a function may have
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ class FunctionSubject(Subject):
     def takes_limits(self) -> bool:
         """Whether it has parameters t_min and t_max."""
         try:
-            return set(LIMITS) <= inspect.signature(self.call).parameters.keys()
+            return {"t_min", "t_max"} <= inspect.signature(self.call).parameters.keys()
         except (TypeError, ValueError):  # of a built-in function
             return False
 

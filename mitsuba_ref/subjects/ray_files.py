@@ -21,12 +21,7 @@ from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject,
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 ZIP_MAGIC = b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
-HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of rows of hits
 STRIP_WIDTH = 256  # of the film on which rays are laid out, if the list names none
-
-
-class UnreadableArray(FileMissing):
-    """A file without the expected arrays."""
 
 
 class RayList(NamedTuple):
@@ -42,27 +37,27 @@ class RayList(NamedTuple):
 def read_arrays(path: str | Path, names: Sequence[str], required: Sequence[str] = ()) -> dict[str, Array]:
     """The arrays `names` of a .npz file, of which `required` have to be there. Nothing is unpickled.
 
-    Raises FileMissing, or UnreadableArray for files that hold objects, are cut short or do not fit into memory.
+    Raises FileMissing, also for files that hold objects, are cut short or do not fit into memory.
     """
     path = Path(path)
     with opened_input(path, "file of arrays") as file:
         start = file.read(len(ZIP_MAGIC))
         if start != ZIP_MAGIC:
-            raise UnreadableArray(f"{path}: expected a .npz file of NumPy, got one that starts with {start!r}")
+            raise FileMissing(f"{path}: expected a .npz file of NumPy, got one that starts with {start!r}")
         file.seek(0)
         try:
             loaded: Any = np.load(file, allow_pickle=False)
             found = {name: loaded[name] for name in loaded.files if name in names}
         except Exception as error:  # NumPy and zipfile raise various types for damaged bytes
-            raise UnreadableArray(f"{path}: cannot be read: {error}") from error
+            raise FileMissing(f"{path}: cannot be read: {error}") from error
     if not found or not found.keys() >= set(required):
-        raise UnreadableArray(
+        raise FileMissing(
             f"{path}: expected arrays of {', '.join(required or names)}, got {', '.join(loaded.files) or 'none'}"
         )
     for name, values in found.items():
         kind = getattr(values, "dtype", None)  # bytes, where a member of the archive is no array
         if kind is None or kind.kind not in "fiub":
-            raise UnreadableArray(f"{path}: {name}: expected numbers, got {kind or 'no array'}")
+            raise FileMissing(f"{path}: {name}: expected numbers, got {kind or 'no array'}")
     return found
 
 
@@ -72,7 +67,7 @@ def read_arrays(path: str | Path, names: Sequence[str], required: Sequence[str] 
 def read_rays(path: str | Path) -> RayList:
     """The array `rays` of a .npz file, (n, 8).
 
-    Raises FileMissing, UnreadableArray, SceneError.
+    Raises FileMissing, SceneError.
     """
     arrays = read_arrays(path, ("rays", "width"), ("rays",))
     width = int(arrays["width"]) if arrays.get("width", np.zeros(3)).size == 1 else 0
@@ -132,17 +127,6 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
 
 
 # ---- hits
-
-
-def hit_columns(rows: Array) -> dict[str, Array]:
-    """Hits by HIT_ARRAYS from rows of HIT_COLUMNS."""
-    found = {"t": rows[:, 0]}
-    if rows.shape[1] >= 4:
-        found["n"] = rows[:, 1:4]
-    if rows.shape[1] == 5:
-        whole = np.isfinite(rows[:, 4]) & (np.abs(rows[:, 4]) < 2.0**31)
-        found["prim_id"] = np.where(whole & (rows[:, 4] == np.floor(rows[:, 4])), rows[:, 4], -2).astype(np.int64)
-    return found
 
 
 @dataclass(frozen=True)

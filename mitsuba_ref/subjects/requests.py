@@ -11,8 +11,10 @@ from caster.geometry.packing import Packed
 from caster.image.exr import read_exr
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
+from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import (
     SharedRays,
@@ -30,7 +32,6 @@ from mitsuba_ref.subjects.command import (
     ExrFile,
     RayCommand,
     ServedCommand,
-    camera_rounding,
     split_command,
 )
 from mitsuba_ref.subjects.function import FUNCTION_PATTERN, import_function
@@ -74,10 +75,12 @@ def request_answer(
         except NoAnswer as error:
             raise type(error)(f"the candidate gave no answer to judge: {error}") from error
     view = model
-    if answer.own_camera:  # its rays are known up to the rounding of a camera
+    if answer.own_camera:  # its rays are known up to float32 rounding, which turns d and shifts o
         described = described_model(scene) if answer.own_geometry else None
         about = model.packed, model.parts, model.kinds, model.models
-        view = UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
+        turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
+        reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
+        view = UncertainRaysModel(*about, turn, turn * reach, as_described=described)
     return SubjectResponse(scene, model, rays, answer, view, ends)
 
 

@@ -1,6 +1,6 @@
 """Subjects: the base class, answers to the rays of a scene, the scene in traced values; and our caster."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -101,8 +101,7 @@ def checked_answer(
     count = int(there.sum())
     t = spread(checked_array("t", t, (count,), np.inf), there, np.inf)
     n = None if n is None else spread(checked_array("n", n, (count, 3), 0.0), there, 0.0)
-    kinds = [a.dtype for a in (t, n) if a is not None]
-    precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
+    precision = precision or str(min(a.dtype for a in (t, n) if a is not None))
     t = t.astype(np.float64)
     t = np.where(t > t_max, np.inf, t)
     broken = {"t is NaN": np.isnan(t), "t is negative": t < 0.0}
@@ -205,24 +204,21 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     description, each becomes a shape, so that numbers of primitives through the scene stay as they are.
     """
     check_folder(folder / "meshes")
-    shapes = [each for i in range(len(scene.shapes)) for each in _described(scene, packed, i, folder)]
+    shapes: list[dict[str, Any]] = []
+    for i, (shape, name, part) in enumerate(zip(scene.shapes, scene.shape_names(), packed.parts, strict=True)):
+        named = {"name": name, **kept_fields(shape)}
+        path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
+        count, describe_all = int(packed.first[i + 1] - packed.first[i]), kind_of(part).describe_all
+        if isinstance(part, Triangles):
+            write_bytes(path, ply_bytes(part))
+            flat = {} if part.smooth.any() else {"face_normals": True}
+            shapes.append({"type": "mesh", "file": str(path), **flat, **named})
+        elif count != 1 and describe_all:
+            shapes.append(describe_all(part, path) | named)
+        else:
+            shapes += [describe_surface(part, k) | named | ({"name": f"{name}-{k}"} if k else {}) for k in range(count)]
     fields = {name: getattr(scene, name) for name in ("film", "camera", "lights", "materials", "shading")}
     return Scene(**fields, shapes=shapes)
-
-
-def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[str, Any]]:
-    """The shape; or its primitives, where these are described one by one."""
-    part, name = packed.parts[i], scene.shape_names()[i]
-    named = {"name": name, **kept_fields(scene.shapes[i])}
-    path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
-    if isinstance(part, Triangles):
-        write_bytes(path, ply_bytes(part))
-        mesh: dict[str, Any] = {"type": "mesh", "file": str(path)}
-        return [mesh | named if part.smooth.any() else mesh | {"face_normals": True} | named]
-    count, describe_all = int(packed.first[i + 1] - packed.first[i]), kind_of(part).describe_all
-    if count != 1 and describe_all:
-        return [describe_all(part, path) | named]
-    return [describe_surface(part, k) | named | ({"name": f"{name}-{k}"} if k else {}) for k in range(count)]
 
 
 # ---- subjects ----
@@ -285,9 +281,12 @@ def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
     return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
 
 
-def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED_AOVS, *DERIVED_AOVS)) -> Answer:
+def answer_of_view(scene: Scene, view: RayHits) -> Answer:
     """The answer to the rays of a view, one per pixel of the film's window."""
-    images = evaluate(view, aovs, film_window(scene))
+    original, names = original_of(scene), [*COMPARED_AOVS, *DERIVED_AOVS]
+    if original and original.coverage.unlit:
+        names.remove("diffuse")
+    images = evaluate(view, names, film_window(scene))
     nearest = view.nearest
     return Answer(nearest.t, None, FLOAT64, {}, prim=nearest.prim, images=images, exact_visibility=True)
 
@@ -296,15 +295,11 @@ def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED
 class OurCaster(Subject):
     """The subject `ours`."""
 
-    name: str = ""
     takes_rays: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
         """Cast the request's rays."""
-        original, names = original_of(request.scene), [*COMPARED_AOVS, *DERIVED_AOVS]
-        if original and original.coverage.unlit:
-            names.remove("diffuse")
-        return answer_of_view(request.scene, cast_ours(request.scene, request.rays), names)
+        return answer_of_view(request.scene, cast_ours(request.scene, request.rays))
 
 
-OURS = OurCaster()
+OURS = OurCaster("")

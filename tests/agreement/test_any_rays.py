@@ -5,11 +5,11 @@ import pytest
 from hard_rays import FAMILIES, hard_rays
 from random_scenes import KINDS, name, random_scene
 from same_bits import assert_same_bits
+from triangle_soup import triangle_soup
 
 from caster.cameras import Pinhole
 from caster.description.errors import SceneError
 from caster.geometry.packing import Kind, Packed
-from caster.kernels.triangles import Triangles
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import cast, occluded, packed, validated_rays
 from caster.rendering.threads import CHUNKS_PER_THREAD, thread_count
@@ -17,6 +17,7 @@ from caster.scene.model import Scene
 from caster.shapes import SHAPES, Icosphere
 
 SIZES = (1e-3, 1.0, 1e3)
+BALL = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
 RAYS = 100  # of each family, for each shape, size and offset; `make nightly` casts 200,000 hard rays a shape
 
 
@@ -33,13 +34,12 @@ def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, wha
 
 
 def test_limits_may_be_given_for_each_ray():
-    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
     o, d = np.tile([0.1, 0.2, 5.0], (4, 1)), np.tile([0.0, 0.0, -1.0], (4, 1))
     starts, ends = [0.0, 5.0, 9.0, 0.0], np.array([np.inf, 9.0, 10.0, 1.0])
-    found = cast(scene, o, d, t_min=starts, t_max=ends).t
-    alone = [cast(scene, o[i : i + 1], d[i : i + 1], t_min=starts[i], t_max=ends[i]).t[0] for i in range(4)]
+    found = cast(BALL, o, d, t_min=starts, t_max=ends).t
+    alone = [cast(BALL, o[i : i + 1], d[i : i + 1], t_min=starts[i], t_max=ends[i]).t[0] for i in range(4)]
     assert found.tolist() == alone and found[0] < 5.0 < found[1] and np.isinf(found[2:]).all()
-    assert np.array_equal(occluded(scene, o, d, t_min=starts, t_max=ends), np.isfinite(found))
+    assert np.array_equal(occluded(BALL, o, d, t_min=starts, t_max=ends), np.isfinite(found))
 
 
 WRONG_LIMITS = {
@@ -55,9 +55,8 @@ WRONG_LIMITS = {
 @pytest.mark.parametrize("text", WRONG_LIMITS)
 @pytest.mark.parametrize("function", [cast, occluded])
 def test_wrong_limits_are_scene_errors(function, text):
-    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
     with pytest.raises(SceneError) as found:
-        function(scene, np.zeros((2, 3)), np.ones((2, 3)), **WRONG_LIMITS[text])
+        function(BALL, np.zeros((2, 3)), np.ones((2, 3)), **WRONG_LIMITS[text])
     assert text in str(found.value)
 
 
@@ -69,9 +68,8 @@ def test_the_first_of_several_rays_that_are_none_is_named(function):
     pieces = CHUNKS_PER_THREAD * thread_count()
     second = int(np.linspace(0, count, pieces + 1)[1])
     d[[second - 1, second, count - 1]] = 0.0
-    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
     with pytest.raises(SceneError, match=rf"^rays\[{second - 1}\]: "):
-        function(scene, o, d)
+        function(BALL, o, d)
 
 
 @pytest.mark.parametrize("shape", KINDS, ids=name)
@@ -99,8 +97,7 @@ def slivers(rng: np.random.Generator, count: int) -> Packed:
     axis, side, place = rng.normal(size=(3, 3))
     along, across = rng.uniform(-1.0, 1.0, (3 * count, 1)), 10.0 ** rng.uniform(-18.0, -3.0, (3 * count, 1))
     corners = place + along * axis + across * side
-    numbers, nothing = np.arange(3 * count, dtype=np.int32).reshape(-1, 3), np.zeros(count, bool)
-    prims = Triangles(corners, numbers, np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), nothing, nothing)
+    prims = triangle_soup(corners)
     kind = Kind(prims, np.arange(count, dtype=np.int32))
     return Packed((kind,), (prims,), np.array([0, count], np.int64))
 

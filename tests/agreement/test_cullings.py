@@ -8,8 +8,6 @@ from same_bits import assert_same_bits
 from caster.aovs import BY_NAME
 from caster.cameras import Orthographic, Pinhole
 from caster.geometry.packing import pack
-from caster.jit.decorators import implements
-from caster.kernels.protocol import project_bounding_sphere
 from caster.rendering.images import render, render_film
 from caster.scene.model import Scene
 from caster.shapes import SHAPES, Cube, Heightfield, Icosphere, Sphere
@@ -18,16 +16,13 @@ SIZES = (1e-3, 1.0, 1e3)
 FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at most
 
 
-def cullings_for(scene: Scene) -> tuple[str, ...]:
-    """Cullings to compare with brute force: BVHs always, rasterization where the camera can project."""
-    packed = scene.camera.pack(scene.film.width, scene.film.height)
-    return ("raster", "bvh") if implements(project_bounding_sphere, type(packed)) else ("bvh",)
+CULLINGS = ("raster", "bvh")  # compared with brute force
 
 
 def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
     """(number of hits, of rays); fails if a culling changes a bit of any AOV."""
     expected = render(scene, tuple(BY_NAME), culling="brute-force")
-    for culling in cullings_for(scene):
+    for culling in CULLINGS:
         assert_same_bits(expected, render(scene, tuple(BY_NAME), culling=culling), culling)
     return int(expected.hit.sum()), expected.hit.size
 
@@ -65,7 +60,7 @@ def test_a_crop_is_that_part_of_the_whole_image_in_every_culling(camera):
     x0, y0, x1, y1 = crop = (11, 5, 30, 21)
     whole = render(scene, tuple(BY_NAME))
     part = scene.with_film(crop=crop)
-    for culling in ("brute-force", *cullings_for(scene)):
+    for culling in ("brute-force", *CULLINGS):
         expected = {aov: image[y0:y1, x0:x1] for aov, image in whole.items()}
         assert_same_bits(expected, render(part, tuple(BY_NAME), culling=culling), f"crop, {culling}")
     assert part.film.window == crop and whole.hit[y0:y1, x0:x1].sum() >= 50
@@ -76,16 +71,9 @@ def test_every_culling_gives_numbers_of_the_type_that_is_requested():
     scene, names = random_scene(np.random.default_rng(6), [Sphere], Pinhole), ("depth", "normal", "shape_id")
     images = render(scene, names)
     expected = {name: images[name].astype(np.float32) for name in names[:2]} | {"shape_id": images["shape_id"]}
-    for culling in ("brute-force", *cullings_for(scene)):
+    for culling in ("brute-force", *CULLINGS):
         found = render(scene, names, culling=culling, dtype=np.float32)
         assert_same_bits(expected, found, f"float32, {culling}")
-
-
-def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
-    rng = np.random.default_rng(3)
-    compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in VIEWS}
-    assert compared["pinhole"] == compared["orthographic"] == ("raster", "bvh")
-    assert compared["panorama"] == ("raster", "bvh")
 
 
 @pytest.mark.parametrize("camera", [Pinhole, Orthographic], ids=name)

@@ -15,6 +15,13 @@ from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family
+
+
+def scene_of(*shapes):
+    """A scene whose camera does not matter."""
+    return Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=shapes)
+
+
 SMALL = [shape for shape in SHAPES if name(shape) in ("sphere", "plane", "triangle", "disk", "cube", "cylinder")]
 
 
@@ -33,17 +40,14 @@ def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
     """A triangle with denormal coordinates, hit at exactly 2^-1074 / 1.5 lengths of 2^-1022; found by fuzzing."""
     least = float.fromhex("0x0.0000000000001p-1022")
     triangle = Triangle(vertices=((0.0, 0.0, 1.0), (0.0, -1.0, -1.0), (-least, 1.0, 0.0)))
-    hits = cast(
-        Scene(shapes=[triangle], camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))), [[0, 0, 0]], [[-(2.0**-1022), 0, 0]]
-    )
+    hits = cast(scene_of(triangle), [[0, 0, 0]], [[-(2.0**-1022), 0, 0]])
     assert hits.t[0] == float.fromhex("0x1.5555555555555p-54")
 
 
 def test_of_many_identical_primitives_the_first_is_hit():
     """A thousand equal triangles, by brute force and through a tree: the lowest number wins."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    shapes = [Triangle(vertices=corners) for _ in range(1000)]
-    scene = Scene(camera=Pinhole(eye=(0, 0, 1), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=shapes)
+    scene = scene_of(*(Triangle(vertices=corners) for _ in range(1000)))
     o = np.column_stack([np.linspace(0.01, 0.4, 50), np.linspace(0.4, 0.01, 50), np.ones(50)])
     o[::2] += 5.0
     rays = validated_rays(o, np.tile([0.0, 0.0, -1.0], (50, 1)), 0.0, np.inf)
@@ -56,7 +60,7 @@ def test_of_many_identical_primitives_the_first_is_hit():
 @pytest.mark.parametrize("shape", [Plane(normal=(0, 0, 1), offset=0.0), Sphere(), Cube(), Cylinder()])
 def test_nothing_lies_beyond_an_infinite_t_min(shape):
     """Rays that start on the surface: float64 cannot decide at t = 0, and with t_min = inf nothing may be hit."""
-    scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[shape])
+    scene = scene_of(shape)
     o = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
     d = np.array([[0.0, 1.0, 5e-324], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 5e-324]])
     assert (cast(scene, o, d, t_min=np.inf).shape_id == -1).all()
@@ -68,7 +72,7 @@ def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
     """t is about 2^-1127: its error bound rounds to 0, and t itself to the least positive float64."""
     tiny = float.fromhex("0x0.0000000000002p-1022")
     corners = np.array([[8.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 1.0, -tiny]])
-    scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[Triangle(vertices=corners)])
+    scene = scene_of(Triangle(vertices=corners))
     along = np.array([[8.0 * tiny, 0.0, -(2.0**53)], [8.0 * tiny, 0.0, 2.0**53]])
     hits = cast(scene, np.zeros((2, 3)), along)
     assert hits.shape_id.tolist() == [0, -1] and hits.t[0] == np.nextafter(0.0, 1.0)
@@ -78,7 +82,7 @@ def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
 @pytest.mark.parametrize("length", [1e160, 1e250, 1e300])
 def test_directions_whose_squares_overflow_hit_what_they_should(shape, length):
     """A denormal component keeps `cast` from bringing d to length 1; the tree is asked, too."""
-    scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=5 * [shape])
+    scene = scene_of(*5 * [shape])
     o = np.array([[0.25, 0.25, 2.0], [5.0, 0.25, 2.0], [0.25, 3.0, 0.5]])
     d = length * np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, -0.35], [0.0, -1.0, 0.0]])
     long, plain = cast(scene, o, np.where(d == 0.0, 5e-324, d)), cast(scene, o, d)
@@ -89,7 +93,7 @@ def test_directions_whose_squares_overflow_hit_what_they_should(shape, length):
 def test_two_ellipsoids_whose_inverses_round_alike_are_two():
     """Their transforms differ by one ulp; the second shape is nearer, so this is no tie."""
     wide = [Sphere(to_world={"scale": [x, 1.0, 1.0]}) for x in (1.9, np.nextafter(1.9, 2.0))]
-    scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=wide)
+    scene = scene_of(*wide)
     prims = packed(scene).kinds[0].prims
     assert (prims.to_object[0] == prims.to_object[1]).all() and (prims.to_world[0] != prims.to_world[1]).any()
     assert cast(scene, [[3.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]]).shape_id.tolist() == [1]
@@ -97,7 +101,7 @@ def test_two_ellipsoids_whose_inverses_round_alike_are_two():
 
 def test_t_is_known_where_squares_of_short_directions_and_small_spheres_underflow():
     ball = Sphere(radius=1.1 * 2.0**-285)
-    scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=[ball])
+    scene = scene_of(ball)
     o = np.array([[-1.3 * 2.0**-284, 0.3 * 2.0**-285, 0.0]])
     rays = validated_rays(o, np.array([[1.2 * 2.0**-250, 0.0, 0.0]]), 0.0, np.inf)
     exact = (2.6 - (1.1**2 - 0.3**2) ** 0.5) / 1.2 * 2.0**-35  # all lengths times 2^285
@@ -116,7 +120,7 @@ def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_image(
 @pytest.mark.parametrize("size", [1e-310, 1e-200, 1e160, 1e307])
 def test_trees_are_left_alone_where_they_leave_float64(size):
     balls = [Sphere(center=(size * (1.0 + 0.1 * i), 0.1 * size, 0.0), radius=0.05 * size) for i in range(6)]
-    scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=balls)
+    scene = scene_of(*balls)
     hits = cast(scene, [[-size, 0.1 * size, 0.0]], [[1.0, 0.0, 0.0]])
     assert hits.shape_id.tolist() == [0] and np.isclose(hits.t[0], 1.95 * size, rtol=1e-3)
     assert not uses_bvh(packed(scene).kinds[0])

@@ -1,7 +1,6 @@
 """Compiled kernels of tiles and packets agree with NumPy."""
 
 import math
-import types
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +10,9 @@ import pytest
 from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
-from caster.kernels.bvh import traversal
+from caster.kernels.bvh.traversal import packet_bounds
 from caster.kernels.raster import tile as tiles
-from caster.kernels.raster import tile_casting
+from caster.kernels.raster.tile_casting import any_pixel_visible, bounds_in_tile, max_visible_t
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 
@@ -38,22 +37,15 @@ def some_span(rng: np.random.Generator) -> tuple[int, int, int, int]:
     return int(x[0]), int(y[0]), int(x[1]) + 1, int(y[1]) + 1
 
 
-def kernel_differs(module: types.ModuleType, name: str) -> bool:
-    """Whether a compiled kernel ever differs from NumPy over whole arrays."""
-    inner = getattr(module, name)
-    lane, direction, rng = tiles.lane, tiles.DX, np.random.default_rng(34)
-    compiled = jit(
-        {
-            "max_visible_t": lambda tile, box: inner(tile, box),
-            "bounds_in_tile": lambda pixels, k, box, c: inner(pixels, k, box)[c],
-            "any_pixel_visible": lambda tile, rect, near: int(inner(tile, rect, near)),
-            "packet_bounds": lambda tile, first, end, c: inner(tile, direction, lane(first))[end][c],
-        }[name]
-    )
-    return any(not _agrees(compiled, name, rng) for _ in range(60))
+KERNELS = {
+    "max_visible_t": lambda tile, box: max_visible_t(tile, box),
+    "bounds_in_tile": lambda pixels, k, box, c: bounds_in_tile(pixels, k, box)[c],
+    "any_pixel_visible": lambda tile, rect, near: int(any_pixel_visible(tile, rect, near)),
+    "packet_bounds": lambda tile, first, end, c: packet_bounds(tile, tiles.DX, tiles.lane(first))[end][c],
+}
 
 
-def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -> bool:
+def agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -> bool:
     tile, (x0, y0, x1, y1) = some_tile(rng), some_span(rng)
     box = (1000, 500, 1000 + x1, 500 + y1)
     seen = np.s_[:y1, : whole_lanes(0, x1)[1]]
@@ -77,12 +69,7 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
     return found == [[p.min() for p in parts], [p.max() for p in parts]]
 
 
-MODULES = {
-    **dict.fromkeys(("max_visible_t", "bounds_in_tile", "any_pixel_visible"), tile_casting),
-    "packet_bounds": traversal,
-}
-
-
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", KERNELS)
 def test_a_kernel_of_tiles_gives_what_numpy_gives(name):
-    assert not kernel_differs(MODULES[name], name)
+    compiled, rng = jit(KERNELS[name]), np.random.default_rng(34)
+    assert all(agrees(compiled, name, rng) for _ in range(60))

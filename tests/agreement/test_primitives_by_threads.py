@@ -87,11 +87,23 @@ def binned(scene: Scene, number: int) -> BinnedKind:
     return found
 
 
-def test_each_primitive_is_once_in_each_tile_it_reaches(scene):
-    expected = binned(scene, 1).bounds.pixels.copy()
+def test_each_primitive_is_once_in_each_tile_it_reaches(scene, monkeypatch):
+    """Each thread writes its own part of the result, in any order."""
+
+    def backwards(begin, pieces, workers):
+        for piece in reversed(pieces):
+            begin()(piece)
+
+    expected = binned(scene, 1)
     for number in THREADS:
-        said = "; ".join(wrong_tiles(binned(scene, number), expected, film_window(scene), number))
-        assert said == "", said
+        for order in (None, backwards):
+            with monkeypatch.context() as patch:
+                if order is not None:
+                    patch.setattr(rasterization, "parallel_for_pieces", order)
+                found = binned(scene, number)
+            said = "; ".join(wrong_tiles(found, expected.bounds.pixels, film_window(scene), number))
+            assert said == "", said
+            assert np.array_equal(found.order, expected.order) and np.array_equal(found.runs, expected.runs)
 
 
 def test_each_primitive_is_in_one_leaf(scene):

@@ -70,18 +70,23 @@ def assert_fans_change_nothing(arrays, rays, what):
     return int((slow.prim >= 0).sum())
 
 
+def calls_in_rows(monkeypatch, least):
+    """Arguments of the tiles of rays in rows, which few rays are enough for, wherever they lead to."""
+    calls = []
+    real = ray_fans._tiles_in_rows
+    monkeypatch.setattr(ray_fans, "MIN_RAYS_IN_ROWS", least)
+    monkeypatch.setattr(ray_fans, "MIN_SHARE_IN_VIEW", 0.0)
+    monkeypatch.setattr(ray_fans, "_tiles_in_rows", lambda *about: calls.append(about) or real(*about))
+    return calls
+
+
 @pytest.fixture
 def as_rows(monkeypatch):
-    """Rays from one point are cast as if they were rows of a tile; returns how many rays were."""
-    numbers = []
-    real = ray_fans._tiles_in_rows
+    """Rays from one point are cast as if they were rows of a tile; returns the calls."""
     rows = ray_fans.RayRows(0, WIDTH, COUNT // WIDTH)
-    monkeypatch.setattr(ray_fans, "MIN_RAYS_IN_ROWS", 64)
-    monkeypatch.setattr(ray_fans, "MIN_SHARE_IN_VIEW", 0.0)
     monkeypatch.setattr(ray_fans, "PRIMITIVES_PER_RAY_IN_ROWS", 1e9)
     monkeypatch.setattr(ray_fans, "find_rows", lambda rays: rows)
-    monkeypatch.setattr(ray_fans, "_tiles_in_rows", lambda *about: numbers.append(about[1]) or real(*about))
-    return numbers
+    return calls_in_rows(monkeypatch, 64)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +101,7 @@ def test_rays_from_one_point_hit_what_they_hit_alone(shape, size, as_rows):
         assert_fans_change_nothing(arrays, from_point(o, arrays, rng, size), f"from {o}")
         for o in points(arrays, rng, size)
     ]
-    assert as_rows == 4 * [COUNT] and sum(hits) > COUNT / 2
+    assert [count for _, count, _ in as_rows] == 4 * [COUNT] and sum(hits) > COUNT / 2
 
 
 def test_a_ray_from_elsewhere_hits_what_it_hits_alone(as_rows):
@@ -108,7 +113,7 @@ def test_a_ray_from_elsewhere_hits_what_it_hits_alone(as_rows):
     strays = np.setdiff1d(np.arange(COUNT), np.linspace(0, COUNT - 1, ray_fans.SAMPLED_RAYS).astype(int))[::7]
     rays.o[strays] -= 2.0 * rays.d[strays]
     assert_fans_change_nothing(arrays, rays, "elsewhere")
-    assert as_rows == 2 * [COUNT]
+    assert [count for _, count, _ in as_rows] == 2 * [COUNT]
 
 
 def test_few_rays_rays_past_everything_and_rays_of_two_origins_are_no_fans(monkeypatch):
@@ -137,13 +142,8 @@ WIDE, HIGH = 131, 9  # a film of two tiles, the second narrow
 
 @pytest.fixture
 def in_rows(monkeypatch):
-    """Rows are looked for among few rays, too; the rows that were cast."""
-    monkeypatch.setattr(ray_fans, "MIN_RAYS_IN_ROWS", 4 * WIDE)
-    monkeypatch.setattr(ray_fans, "MIN_SHARE_IN_VIEW", 0.0)
-    found = []
-    real = ray_fans._tiles_in_rows
-    monkeypatch.setattr(ray_fans, "_tiles_in_rows", lambda *about: found.append(about[2]) or real(*about))
-    return found
+    """Rows are looked for among few rays, too; returns the calls."""
+    return calls_in_rows(monkeypatch, 4 * WIDE)
 
 
 def film_rays(arrays, rng, size, width=WIDE, height=HIGH):
@@ -170,7 +170,7 @@ def test_rays_in_rows_hit_what_they_hit_alone(shape, in_rows):
     part = Rays(*(a[57:-20] for a in rays))
     assert ray_fans.find_rows(part) == (WIDE - 57, WIDE, HIGH - 2)
     assert_fans_change_nothing(arrays, part, "part")
-    assert in_rows == [(0, WIDE, HIGH), (WIDE - 57, WIDE, HIGH - 2)]
+    assert [rows for *_, rows in in_rows] == [(0, WIDE, HIGH), (WIDE - 57, WIDE, HIGH - 2)]
     rays.o[-6] = np.nextafter(rays.o[-6], np.inf)
     assert_fans_change_nothing(arrays, rays, "elsewhere")
 

@@ -8,14 +8,11 @@ from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
 from caster.cameras import Pinhole
-from caster.kernels.raster.screen_bounds import Window
-from caster.rendering import rasterization
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import packed, validated_rays
 from caster.rendering.images import render
-from caster.rendering.rasterization import bin_kinds
 from caster.scene.model import Scene
-from caster.shapes import SHAPES, Icosphere
+from caster.shapes import SHAPES
 
 THREADS = (2, 3, 7)
 
@@ -47,21 +44,3 @@ def test_threads_never_change_a_bit_of_any_ray():
             got = find_nearest(packed(scene), rays, threads=threads)
             assert_same_bits(expected._asdict(), got._asdict(), f"{family}, {threads} threads")
         assert (expected.prim >= 0).sum() >= 300
-
-
-def test_parts_that_are_binned_in_another_order_are_in_the_same_places(monkeypatch):
-    """Each thread writes its own part of the result, in any order."""
-    scene = random_scene(np.random.default_rng(8), [Icosphere], Pinhole)
-    arguments = packed(scene), scene.camera.pack(48, 32), Window(0, 0, 48, 32), 10.0
-    (alone,) = bin_kinds(*arguments, threads=1)
-    monkeypatch.setattr(rasterization, "PARALLEL_MIN_PRIMITIVES", 16)
-    (expected,) = bin_kinds(*arguments, threads=1)
-
-    def backwards(begin, pieces, workers):
-        for piece in reversed(pieces):
-            begin()(piece)
-
-    monkeypatch.setattr(rasterization, "parallel_for_pieces", backwards)
-    (found,) = bin_kinds(*arguments, threads=3)
-    assert np.array_equal(found.order, expected.order) and np.array_equal(found.runs, expected.runs)
-    assert found.on_film.sum() == alone.on_film.sum() > 3 * 16

@@ -13,6 +13,8 @@ import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from programs import python
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("caster", "mitsuba_ref")
 DEADLINE = 300.0  # seconds; no command needs more than 20, on a machine that does nothing else
@@ -57,11 +59,8 @@ def run_with(plugins: Path, *argv: str, module: str = "mitsuba_ref") -> subproce
 
 
 def _run(path: str, *argv: str, module: str, compiled: bool = False) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-P", "-m", module, *argv]
-    environment = {"CASTER_JIT": "1" if compiled else "0", **os.environ, "PYTHONPATH": path}
-    return subprocess.run(
-        words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
-    )
+    jit = os.environ.get("CASTER_JIT", "1" if compiled else "0")
+    return python("-P", "-m", module, *argv, PYTHONPATH=path, CASTER_JIT=jit)
 
 
 # How far a run of some seconds, or a compiler, had come; and of a machine with an old libLLVM, that it does not work.

@@ -59,16 +59,11 @@ def sun(direction: str, irradiance: str) -> str:
     return f'<emitter type="directional">{numbers}</emitter>'
 
 
-def film(width: int, height: int, crop: tuple[int, int, int, int] | None = None) -> str:
+def film(width: int, height: int) -> str:
     """One sample in each pixel's centre, and the sampler for it."""
-    numbers = {"width": width, "height": height}
-    if crop is not None:
-        names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
-        numbers |= dict(zip(names, crop, strict=True))
-    integers = "".join(f'<integer name="{name}" value="{value}"/>' for name, value in numbers.items())
+    size = f'<integer name="width" value="{width}"/><integer name="height" value="{height}"/>'
     return (
-        f'<film type="hdrfilm">{integers}<string name="component_format" value="float32"/>'
-        '<rfilter type="box"/></film>'
+        f'<film type="hdrfilm">{size}<string name="component_format" value="float32"/><rfilter type="box"/></film>'
         '<sampler type="stratified"><integer name="sample_count" value="1"/>'
         '<boolean name="jitter" value="false"/></sampler>'
     )
@@ -95,10 +90,3 @@ def has_t(answer: TraceResponse, *expected: float) -> bool:
     No t of a triangle is the same on every CPU: Embree multiplies by an approximate reciprocal.
     """
     return len(answer.t) == len(expected) and np.allclose(answer.t.astype(float), expected, rtol=EXACT_T_ERROR, atol=0)
-
-
-def rays_at(rng: np.random.Generator, count: int, spread: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from around (0, 0, 6) to points of the square of half size `spread` in z = 0; d is no unit."""
-    o = rng.normal([0.0, 0.0, 6.0], 0.3, (count, 3))
-    target = np.column_stack([rng.uniform(-spread, spread, (count, 2)), np.zeros(count)])
-    return o.astype(np.float32), (target - o).astype(np.float32)

@@ -1,19 +1,15 @@
 """`mitsuba-ref bench` from end to end: ours and Mitsuba's scalar variant, a small image, one alternation."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
+from programs import printed_by
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import casters, scenes
 from mitsuba_ref.bench.casters import BY_KEY
-from mitsuba_ref.bench.measuring import Settings, time_scene
-from mitsuba_ref.bench.scoring import write_scene
-from mitsuba_ref.reference.subprocess_runner import import_path
+from mitsuba_ref.bench.measuring import time_scene, write_scene
 from mitsuba_ref.reference.variants import LLVM, environment_for, usable_variants
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
@@ -52,7 +48,7 @@ def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
 )
 def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
     """A caster with a wrong flag could be fast and wrong for most rays."""
-    found = time_scene(SCENES[name], [BY_KEY[key] for key in keys], Settings(16, 1))
+    found = time_scene(SCENES[name], [BY_KEY[key] for key in keys], 16, 1)
     for row in found.rows:
         if not usable_variants().libllvm:
             assert row.why.startswith("llvm_ad_rgb does not work here"), row
@@ -124,9 +120,6 @@ def test_mitsuba_is_timed_with_the_image_that_ours_is(tmp_path):
     made = SCENES["kinds-lit"].make()
     lamp_alone = made.model_copy(update={"lights": made.lights[:1]})
     write_scene(replace(SCENES["kinds-lit"], make=lambda: lamp_alone), tmp_path, 64)
-    environment = environment_for(LLVM) | {"PYTHONPATH": import_path()}
-    command = [sys.executable, "-c", VALUES, str(tmp_path)]
-    said = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | environment)
-    found = json.loads(said.stdout)
+    found = json.loads(printed_by("-c", VALUES, tmp_path, **environment_for(LLVM)))
     assert found.pop("hit") > 0.5 and 0.2 < found.pop("lit") < 0.9
     assert len(found) == 4 and max(found.values()) < 0.02, found

@@ -121,7 +121,7 @@ def test_the_question_that_validate_asks_is_repeated(at, tmp_path):
     scene = mistakes.scene_of("torus-smooth", tmp_path)
     found = at(FunctionSubject("blind", mistakes.edited(determinant_epsilon=5.0)), (12, 9), scene)
     assert found.verdict == WRONG and "is an epsilon larger than the determinants?" in found.why
-    assert "\nwhere hits are at distances of" in found.why and " with determinants of " in found.why
+    assert "\ndistances of hits here: " in found.why and ", determinants: " in found.why
 
 
 def a_miss_is_a_number(scene, o, d):

@@ -116,7 +116,7 @@ MISTAKES = [
     ("mitsuba-ref validate scene.toml --siz 8 8", 2, "unrecognized arguments: --siz 8 8, did you mean '--size'?"),
     ("mitsuba-ref validate --builtin triangels", 2, "'triangels', did you mean 'triangles'?", "spheres"),
     ("mitsuba-ref validate builtin:needels", 2, "builtin:needels", "did you mean 'needles'?"),
-    ("mitsuba-ref docs internals", 2, "no page 'internals'", "in that folder are internals/adding-a-shape, "),
+    ("mitsuba-ref docs internals", 2, "no page 'internals'", "did you mean 'internals/"),
     ("mitsuba-ref probe 8 6 scene.toml", 2, "expected SCENE X Y in this order, such as scene.toml 160 120"),
 ]
 NEED_MITSUBA = [

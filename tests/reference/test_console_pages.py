@@ -4,6 +4,7 @@ import importlib.util
 import re
 import shutil
 
+import console
 import pytest
 from places import ROOT
 
@@ -11,14 +12,6 @@ from mitsuba_ref.reference.variants import usable_variants
 
 # Page -> programs and modules that its commands need beside the product.
 PAGES = {"quick-start": (), "debugging": (), "recipes/embree": ("cc", "embreex"), "recipes/open3d": ("open3d",)}
-
-
-@pytest.fixture(scope="module")
-def console():
-    spec = importlib.util.spec_from_file_location("console", ROOT / "docs/console.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def essence(page):
@@ -30,7 +23,7 @@ def essence(page):
 
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.slow("a page of docs: a caster in NumPy, a minute")
-def test_the_outputs_on_a_page_are_those_of_today(console, tmp_path, name):
+def test_the_outputs_on_a_page_are_those_of_today(tmp_path, name):
     if missing := [each for each in PAGES[name] if not (shutil.which(each) or importlib.util.find_spec(each))]:
         pytest.skip(f"not on this machine: {', '.join(missing)}")
     if usable_variants().libllvm is None:
@@ -53,13 +46,13 @@ $ echo a; exit 3  # exit 3
 """
 
 
-def test_an_output_of_another_time_is_replaced(console, tmp_path):
+def test_an_output_of_another_time_is_replaced(tmp_path):
     found = console.renewed(PAGE, tmp_path)
     assert found.endswith("$ python greet.py\ngood morning\n...\n$ echo a; exit 3  # exit 3\na\n```\n")
     assert essence(found) != essence(PAGE)
     assert console.renewed(found, tmp_path) == found
 
 
-def test_an_exit_code_that_the_page_does_not_state_is_an_error(console, tmp_path):
+def test_an_exit_code_that_the_page_does_not_state_is_an_error(tmp_path):
     with pytest.raises(AssertionError, match="exit 3: exit code 3, expected 0"):
         console.renewed(PAGE.replace("  # exit 3", ""), tmp_path)

@@ -107,8 +107,3 @@ def test_a_scene_may_request_less_than_the_derived_bound(judged, name):
 def test_a_check_that_nothing_would_heed_is_refused(judged):
     with pytest.raises(caster.SceneError, match=r"check.shape_id: shape_id has no bound to scale"):
         judged(lit_scene(caster.Sphere(), checks={"shape_id": {"ratio": 0.1}}))
-
-
-@pytest.mark.parametrize("name", ["$x", "a$", "ball & chain", "<ball>", "a.b", "Kugel, groß"])
-def test_a_shape_may_be_called_what_it_likes(judged, name):
-    assert judged(lit_scene(caster.Sphere(name=name))).ok

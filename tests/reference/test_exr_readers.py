@@ -1,11 +1,9 @@
 """Mitsuba reads our EXR files: every channel by its name, layers as groups, all bits unchanged."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
-from places import ROOT, shipped
+from places import shipped
+from programs import printed_by
 
 import caster
 from caster import __version__
@@ -38,8 +36,7 @@ def test_mitsubas_bitmap_sees_every_channel_bit_for_bit(tmp_path):
     channels = {name: rng.normal(size=(5, 7)).astype(np.float32) for name in names}
     channels["depth.Z"][2, 3] = np.inf
     write_exr(tmp_path / "a.exr", channels, {"caster/version": "0"})
-    command = [sys.executable, "-c", READ, str(tmp_path / "a.exr"), str(tmp_path / "a.npz")]
-    told = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    told = printed_by("-c", READ, tmp_path / "a.exr", tmp_path / "a.npz")
     read = np.load(tmp_path / "a.npz")
     assert set(read.files) == set(channels)
     assert all(np.array_equal(read[name], channels[name]) for name in channels)
@@ -61,8 +58,7 @@ def test_mitsubas_own_image_of_our_export_passes_with_its_conventions_stated(tmp
     """Its depth counts from the near plane, and a miss is 0."""
     scene = shipped(name, 32, 24)
     xml = export_scene(scene).write(tmp_path)
-    command = [sys.executable, "-c", RENDER, str(xml), str(tmp_path / "theirs.exr")]
-    subprocess.run(command, capture_output=True, check=True, cwd=ROOT)
+    printed_by("-c", RENDER, xml, tmp_path / "theirs.exr")
     aovs = caster.render(scene, aovs=("depth", "normal", "shading_normal", "position"))
     write_exr(tmp_path / "ours.exr", aovs_to_channels(aovs), provenance(scene, __version__))
     result = compare_exr(tmp_path / "ours.exr", tmp_path / "theirs.exr", reading=Reading(depth="near", scene=scene))

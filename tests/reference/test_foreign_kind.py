@@ -9,26 +9,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from coin_scenes import COINS, LAMP, PINHOLE
 from edited_tree import ROOT, edit, run_with, said_beside_progress
 
-COINS = """
-[film]
-width = 12
-height = 9
-
-[camera]
-type = "pinhole"
-eye = [0.3, 0.4, 4]
-look_at = [0, 0, 0]
-
-[[light]]
-type = "point"
-position = [2, 3, 4]
-intensity = [9, 9, 9]
-""" + "".join(
-    f'[[shape]]\ntype = "coin"\ncenter = [{x}, 0.25, {z}]\nradius = {r}\n'
-    for x, z, r in ((-0.5, 0.0, 0.75), (0.5, 0.5, 0.5), (0.25, -1.0, 2.0))
-)
+SCENE = "[film]\nwidth = 12\nheight = 9\n" + PINHOLE + LAMP + COINS
 
 
 @pytest.fixture
@@ -36,7 +20,7 @@ def coins(tmp_path) -> Path:
     """A folder with an installed distribution: the kind on both sides, and a scene."""
     shutil.copy(ROOT / "tests/unit/coin_plugin.py", tmp_path)
     shutil.copy(ROOT / "tests/reference/coin_reference.py", tmp_path)
-    (tmp_path / "coins.toml").write_text(COINS, encoding="utf-8")
+    (tmp_path / "coins.toml").write_text(SCENE, encoding="utf-8")
     about = tmp_path / "coins-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: coins\nVersion: 1.0\n")
@@ -91,7 +75,7 @@ def test_a_mistake_in_a_foreign_kind_is_found(coins, old, new, says):
 
 @pytest.mark.slow("judges twice in plain Python")
 def test_a_foreign_camera_is_judged_and_a_mistake_in_it_is_found(coins):
-    scanned = COINS.replace('"pinhole"', '"scanner"\nspacing = 0.34')
+    scanned = SCENE.replace('"pinhole"', '"scanner"\nspacing = 0.34')
     (coins / "scanned.toml").write_text(scanned, encoding="utf-8")
     found = run_with(coins, "validate", str(coins / "scanned.toml"))
     assert (found.returncode, said_beside_progress(found)) == (0, []) and "PASS  scanned" in found.stdout

@@ -107,7 +107,6 @@ def test_limits_that_a_function_takes_have_to_be_heeded(scene):
     [
         (lambda t, n: (t, n, np.zeros(len(t))), "prim_id: expected whole numbers, got float64"),
         (lambda t, n: (t, n, np.zeros(3, int)), r"prim_id: expected shape \(n,\)"),
-        (lambda t, n: {"t": t}, r"expected two arrays \(t, n\), got dict"),
         (lambda t, n: (t, n, t, t), r"got 4 of them; it is called as function\(scene, o, d\)"),
     ],
 )

@@ -79,8 +79,8 @@ def test_ours_is_diagnosed_by_the_same_engine(monkeypatch):
 
 SHARED = {
     "the normal is turned round": (mistakes.answering(lambda s, o, d, t, n: (t, -n)), ("cornell-box", "one-sphere")),
-    "the candidate misses everything; is an epsilon larger than the determinants? The same rays hit along directions "
-    "2^40 times as long": (mistakes.edited(determinant_epsilon=50.0), ("torus-smooth", "one-triangle")),
+    "the candidate misses everything; is an epsilon larger than the determinants? The same rays hit with d scaled by "
+    "2^40": (mistakes.edited(determinant_epsilon=50.0), ("torus-smooth", "one-triangle")),
 }
 
 

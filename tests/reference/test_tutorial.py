@@ -1,15 +1,9 @@
 """docs/tutorial.ipynb: its cells run, and what they print is what it shows."""
 
-import sys
-
+import notebook
 import pytest
-from places import ROOT
 
 from mitsuba_ref.reference.variants import usable_variants
-
-sys.path.append(str(ROOT / "docs"))
-
-import notebook
 
 
 def printed(pages):

@@ -1,10 +1,6 @@
-"""Other builds of Mitsuba as the reference: interpreters that are refused, planted versions, and Embree's default mode.
-
-MITSUBA_REF_OTHERS names interpreters with other versions of Mitsuba, separated by colons, which the last tests run.
-"""
+"""Other builds of Mitsuba as the reference: interpreters that are refused, planted versions, Embree's default mode."""
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -19,7 +15,6 @@ from mitsuba_ref.reference.interpreter import AS_IN_FILE_VARIABLE, PYTHON_VARIAB
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.stress.sweeps import cast_by_bvh, prepare_setting
 
-OTHERS = [path for path in os.environ.get("MITSUBA_REF_OTHERS", "").split(os.pathsep) if path]
 BALL = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "{}"\n[film]\n{}'
 SIZE = "width = 12\nheight = 9\n"
 
@@ -144,14 +139,3 @@ def test_the_default_mode_leaks_and_is_said_to(place, monkeypatch, family):
         assert set(verdict.cases) == ({"15"} if value and family == "watertight-edges" else set())
     assert lost["1"] > 30 + 5 * lost[""]
     assert lost[""] == 0 or family == "watertight-vertices"  # case 16
-
-
-@pytest.mark.skipif(not OTHERS, reason="MITSUBA_REF_OTHERS names no interpreter with another Mitsuba")
-@pytest.mark.parametrize("python", OTHERS)
-@pytest.mark.parametrize("shape", ["sphere", "cube"])
-def test_other_versions_pass_as_this_one_does(place, capsys, python, shape):
-    Path("ball.toml").write_text(BALL.format(shape, SIZE))
-    assert main(["versions", "ball.toml", "--mitsuba", python, "--json", "v.json"]) == 0
-    found = json.loads(Path("v.json").read_text())
-    assert "A PASS, B PASS" in capsys.readouterr().out
-    assert found["versions"][0] != found["versions"][1]

@@ -110,10 +110,7 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         albedo=albedo,
         sensor=np.column_stack([rays.o, rays.d, rays.t_max]),
         origin=np.zeros((0, 3), np.float32),
-        mesh_corners=np.zeros((0, 3, 8), np.float32),
-        mesh_vertices=np.zeros((0, 3), np.int32),
-        mesh_faces=(),
-        mesh_problems=(),
+        loaded=(),
         versions={"mitsuba": "none", "variant": "scalar, rounded"},
         seconds=0.0,
     )

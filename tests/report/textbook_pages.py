@@ -1,6 +1,6 @@
 """The textbook caster of docs/candidates, with its mistake, before the judge at a small size."""
 
-import importlib.util
+import runpy
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,10 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.verdict import SceneVerdict
 
 WIDTH, HEIGHT = 20, 16
-FILE = ROOT / "docs/candidates/textbook.py"
 
 
 def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    spec = importlib.util.spec_from_file_location("textbook", FILE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found: tuple[np.ndarray, np.ndarray] = module.trace(scene, o, d)
-    return found
+    return runpy.run_path(str(ROOT / "docs/candidates/textbook.py"))["trace"](scene, o, d)
 
 
 def trace_depth_in_float32(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, None]:

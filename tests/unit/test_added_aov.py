@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import caster
-from caster.aovs import AOVS, BY_NAME, Aov, kernel_of, needs_of, register
+from caster.aovs import AOVS, BY_NAME, KERNELS, Aov, register
 from caster.jit import decorators
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, per_hit
@@ -69,7 +69,7 @@ MISSES = {"depth": math.inf, "shape_id": -1, "prim_id": -1}  # others: 0
 @pytest.mark.parametrize("name", BY_NAME)
 def test_an_aov_of_the_tree_is_a_field_of_the_hit_and_its_miss_in_every_channel(name, monkeypatch):
     monkeypatch.setattr(decorators._THREAD, "interprets", True)  # kernels whose answers no annotation states
-    kernel, expected = kernel_of(name), VALUES.get(name) or getattr(HIT, name)
+    kernel, expected = KERNELS[name], VALUES.get(name) or getattr(HIT, name)
     channels = len(expected) if isinstance(expected, tuple) else 1
     assert per_hit(kernel, HIT) == expected and len(BY_NAME[name].CHANNELS) == channels
     assert kernel.miss == MISSES.get(name, 0) and kernel.misses == (kernel.miss,) * channels
@@ -81,7 +81,6 @@ def test_an_aov_needs_the_fields_that_it_reads_and_no_others():
     for name, aov in BY_NAME.items():
         read = [field for field in NEEDED_FIELDS if aov.evaluate(HIT._replace(**{field: None})) is None]
         assert sorted(aov.NEEDS) == read, name
-    assert needs_of(["depth", "uv", "diffuse"]) == {"uv", "radiance"} and not needs_of(["hit"])
 
 
 @pytest.fixture(params=ADDED, scope="module")  # kernels are compiled once for each registration

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import scene_of
 
 from caster.geometry.world_space import as_float32
-from caster.scene.model import Scene
 from caster.shapes import Cylinder, EllipsoidCloud, Icosphere, Plane, Sphere, Triangle
 from mitsuba_ref.error_model.bracket import (
     Bracket,
@@ -31,8 +31,7 @@ RIGHT, LEFT = Triangle(name="right", vertices=(A, B, C)), Triangle(name="left", 
 
 
 def modelled(shapes: list[Any], o: Any, d: Any) -> SceneModel:
-    camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
-    scene = Scene(camera=camera, shapes=shapes)
+    scene = scene_of(*shapes)
     return model_of(scene, packed_float32(scene), endless_rays(np.atleast_2d(o), np.atleast_2d(d)))
 
 

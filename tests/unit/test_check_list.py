@@ -5,7 +5,7 @@ import re
 from places import ROOT
 
 from caster import Pinhole, Scene
-from mitsuba_ref.judge.checks import OURS, all_checks, checks_of, make_checks
+from mitsuba_ref.judge.checks import OURS, all_checks, checks_of
 from mitsuba_ref.judge.checks.shapes import check_materials
 from mitsuba_ref.judge.verdict import SceneCheck
 
@@ -22,14 +22,6 @@ def test_the_method_page_lists_the_checks():
 def test_only_thorough_adds_the_checks_beyond_the_film():
     added = {check.name for check in checks_of(OURS, thorough=True)} - {check.name for check in checks_of(OURS)}
     assert added == {"routes", "scaling"}
-
-
-def test_a_check_gets_what_it_names_and_may_have_no_result():
-    first = all_checks()[0]
-    made = first._replace(make=lambda subject: SceneCheck("made", 0.0, subject), needs=("subject",))
-    none = first._replace(make=lambda scene: None, needs=("scene",))
-    found = make_checks([made, none], {"subject": "here", "scene": None})
-    assert [check.what for check in found] == ["here"]
 
 
 def test_a_scene_without_shapes_has_its_materials():

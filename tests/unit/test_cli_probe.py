@@ -60,7 +60,7 @@ def probed(capsys, x, y, *options):
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("camera", ["pinhole", "orthographic", "fisheye", "panorama", "parabolic"])
+@pytest.mark.parametrize("camera", ["pinhole", "orthographic", "fisheye", "panorama"])
 def test_every_pixel_has_the_bits_of_render(folder, camera):
     scene = write(folder, camera)
     images = caster.render(scene, ("depth", *FIELDS.values()))

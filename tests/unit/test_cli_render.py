@@ -95,15 +95,14 @@ def test_explain_reports_what_was_done_and_what_was_left_out(folder, capsys):
     said = capsys.readouterr().out
     cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
     nodes = len(bvh_of(cube).links)
-    assert nodes >= 1 and "culling          name bvh, reason " in said and f", nodes {nodes}" in said
-    assert "worked out position normals, " in said
-    assert "trees            runs yes, reason camera rays traverse them\n" in said
-    assert "shadow rays      runs no, reason the scene switches shadows off, cast 0\n" in said
+    assert nodes >= 1 and f"\nBVH of triangles     {nodes} nodes\n" in said
+    assert "\nculling              bvh\n" in said and "\nsurfaces             position normals of 384 hits\n" in said
+    assert "\nshadow rays          0\n" in said and "\nskipped              uv, shadow rays" in said
 
 
 def test_an_empty_scene_is_a_image_of_misses(folder, capsys):
     (folder / "s.toml").write_text(SCENE.partition("[[shape]]")[0])
     render("--aov", ALL, "--explain")
-    assert "primitives       none\n" in capsys.readouterr().out
+    assert "\nsurfaces             position normals uv of 0 hits\n" in capsys.readouterr().out
     exr = caster.read_exr("s.exr")
     assert not exr.channels["A"].any() and (exr.channels["depth.Z"] == np.inf).all()

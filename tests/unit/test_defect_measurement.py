@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from places import scene_of
 
 import caster
-from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
@@ -25,8 +25,7 @@ BALL, LID = 1, 2
 
 def measured(o, d, *, t=None, prim=-1, shape=None, n=None, off=0.0):
     """Features of one ray and the reference's claim about it: the primitive's own values, t off by so many bounds."""
-    camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
-    scene = Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=SHAPES)
+    scene = scene_of(*SHAPES)
     rays, packed = endless_rays(np.array([o]), np.array([d])), packed_float32(scene)
     model, oracle = model_of(scene, packed, rays), Oracle(packed)
     o, d = rays.o.astype(float), rays.d.astype(float)

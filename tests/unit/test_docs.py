@@ -1,10 +1,10 @@
 """Links and named places in docs/ and the README exist, and generated pages are up to date."""
 
 import ast
-import importlib.util
 import re
 from pathlib import Path
 
+import api
 from places import ROOT
 
 PAGES = sorted([*ROOT.glob("docs/**/*.md"), ROOT / "README.md"])
@@ -66,15 +66,6 @@ def test_the_code_of_a_recipe_is_that_of_the_example_of_the_same_name():
     assert shown == {name: (folder / name).read_text() for name in ("embree.c", "three.mjs")}
 
 
-def program(name):
-    """A program of docs/ as a module."""
-    spec = importlib.util.spec_from_file_location(f"{name}_page", ROOT / f"docs/{name}.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_the_api_page_is_what_the_docstrings_say():
     written = (ROOT / "docs/api.md").read_text(encoding="utf-8")
-    assert written == program("api").page(), "run python docs/api.py"
+    assert written == api.page(), "run python docs/api.py"

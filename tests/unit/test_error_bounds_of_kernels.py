@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from places import scene_of
 
-from caster.cameras import Fisheye
 from caster.geometry.packing import pack
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import UNDECIDED
 from caster.kernels.protocol import exact_intersect, intersect, load, prepare, surely_misses
-from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
 from caster.shapes.cylinder import clip_to_height
 
@@ -20,8 +19,7 @@ PLACED = [{"scale": [0.5, 2.0, 1.0]}, {"rotate": {"axis": [1, 2, 3], "degrees": 
 
 
 def prims_of(shape):
-    camera = Fisheye(eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0))
-    return pack(Scene(film={"width": 8, "height": 6}, camera=camera, shapes=[shape])).kinds[0].prims
+    return pack(scene_of(shape)).kinds[0].prims
 
 
 def moved(rng, v, by):

@@ -6,13 +6,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from triangle_soup import triangle_soup
 
 from caster.kernels.exact import numbers as big
 from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, Root, as_float, compare, is_within, surd_of_float
 from caster.kernels.math.vec import UNDECIDED
 from caster.kernels.nearest import KeepFirst, first_of, hit_by_float64, no_hits, store_first
 from caster.kernels.protocol import same_geometry
-from caster.kernels.triangles import Triangles
 
 RNG = np.random.default_rng(70)
 
@@ -175,10 +175,7 @@ def stacked_triangles():
     heights, sizes = [2.0, 1.0, 3.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0, 2.0]
     corners = np.array([[-1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [-1.0, 3.0, 0.0]])
     vertices = np.concatenate([s * corners + [0.0, 0.0, h] for s, h in zip(sizes, heights, strict=True)])
-    count = len(heights)
-    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
-    return Triangles(vertices, faces, *none), np.array(heights)
+    return triangle_soup(vertices), np.array(heights)
 
 
 @pytest.mark.parametrize("decided", [True, False])

@@ -4,14 +4,13 @@ The file is read by the OpenEXR library, and each channel has the name that docs
 """
 
 import json
-import subprocess
-import sys
 import weakref
 
 import numpy as np
 import OpenEXR
 import pytest
 from places import ROOT
+from programs import printed_by
 
 import caster
 from caster.__main__ import main
@@ -111,8 +110,7 @@ def test_16384_x_16384_pixels_need_less_than_a_gigabyte(tmp_path):
         "import resource, sys; from caster.__main__ import main; code = main(sys.argv[1:]); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(code)"
     )
-    told = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=True).stdout
-    assert int(told.split()[-1]) < 1 << 20  # KiB
+    assert int(printed_by("-c", program, *words).split()[-1]) < 1 << 20  # KiB
 
 
 def test_every_number_of_a_primitive_goes_through_a_file_unrounded():

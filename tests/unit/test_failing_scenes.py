@@ -3,6 +3,7 @@
 from dataclasses import replace
 from unittest.mock import Mock
 
+from places import scene_of
 from pydantic import TypeAdapter
 from verdict_factory import scene as made
 from verdict_factory import verdict
@@ -48,10 +49,7 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
 
 
 def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(monkeypatch):
-    ball = caster.Scene(
-        camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere(), caster.Cube()]
-    )
-    entry = many_scenes.SceneEntry("ball", "ball.toml", given=ball)
+    entry = many_scenes.SceneEntry("ball", "ball.toml", given=scene_of(caster.Sphere(), caster.Cube()))
     for found in (made("ball"), made("ball", problem="crash")):
         monkeypatch.setattr(many_scenes, "validate_scene", Mock(return_value=found))
         judged = many_scenes.judge_entry(entry, many_scenes.JudgeOptions())

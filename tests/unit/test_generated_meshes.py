@@ -66,6 +66,8 @@ def test_an_icosphere_comes_close_to_the_sphere():
         mesh = Icosphere(subdivisions=n).mesh()
         assert len(mesh.faces) == 20 * 4**n and len(mesh.vertices) == 10 * 4**n + 2
         assert np.array_equal(mesh.normals, mesh.vertices)
+    corners = MESHES["icosahedron"][0].vertices[MESHES["icosahedron"][0].faces]
+    assert np.ptp(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)) < 1e-15  # which is regular
     missing = [4 / 3 * math.pi - signed_volume(Icosphere(subdivisions=n).mesh()) for n in (2, 3, 4)]
     assert missing[0] / missing[1] == pytest.approx(4, rel=0.05)
     assert missing[1] / missing[2] == pytest.approx(4, rel=0.05)
@@ -136,9 +138,6 @@ def test_control_points_of_the_teapot_are_the_published_ones():
     """The digest is of the published list of 306 points and 32 x 16 indices, bit for bit."""
     nets = patches()
     assert nets.shape == (32, 4, 4, 3)
-    assert nets[0, 0].tolist() == [[1.4, 0, 2.4], [1.4, -0.784, 2.4], [0.784, -1.4, 2.4], [0, -1.4, 2.4]]
-    assert nets[19, 3].tolist() == [[3.2, 0, 2.4], [3.2, 0.15, 2.4], [2.8, 0.15, 2.4], [2.8, 0, 2.4]]
-    assert nets[28, 1].tolist() == [[1.425, 0, 0], [1.425, 0.798, 0], [0.798, 1.425, 0], [0, 1.425, 0]]
     digest = hashlib.sha256(nets.astype("<f8").tobytes()).hexdigest()
     assert digest == "6cf132b92494b156f99a6f30652bdad1587bd41a445f1cc45d3a6b85f7331b3b"
 
@@ -192,24 +191,9 @@ def test_rectangle_and_cube_have_corners_at_one_and_faces_that_look_outwards(sha
 # ---- uv, parameters
 
 
-# The axes along which u and v grow from 0 to 1 on each side of the cube, as on that of Mitsuba.
-CUBE_UV_AXES = {"+x": "+y-z", "-x": "+y+z", "+y": "-x-z", "-y": "+z+x", "+z": "+y+x", "-z": "-y+x"}
-
-
-def axis(name):
-    """The unit vector of "+x" to "-z"."""
-    return np.eye(3)["xyz".index(name[1])] * float(f"{name[0]}1")
-
-
-def test_uv_of_rectangle_and_cube_run_along_the_axes_of_mitsubas_own():
+def test_uv_of_a_rectangle_run_along_the_axes_of_mitsubas_own():
     mesh = caster.Rectangle().mesh()
     assert np.array_equal(mesh.uv, (mesh.vertices[:, :2] + 1.0) / 2.0)
-    mesh = caster.Cube().mesh()
-    for face in mesh.faces:
-        corners = mesh.vertices[face]
-        (side,) = (name for name in CUBE_UV_AXES if (corners @ axis(name) == 1.0).all())
-        u, v = axis(CUBE_UV_AXES[side][:2]), axis(CUBE_UV_AXES[side][2:])
-        assert np.array_equal(mesh.uv[face], 0.5 + 0.5 * np.stack([corners @ u, corners @ v], axis=1))
 
 
 @pytest.mark.parametrize(
@@ -223,10 +207,3 @@ def test_uv_of_rectangle_and_cube_run_along_the_axes_of_mitsubas_own():
 def test_parameters_of_no_mesh_are_refused(shape, fields, words):
     with pytest.raises(SceneError, match=words):
         shape(**fields)
-
-
-def test_the_coarsest_icosphere_is_regular():
-    mesh = Icosphere(subdivisions=0).mesh()
-    corners = mesh.vertices[mesh.faces]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    assert len(mesh.faces) == 20 and np.ptp(edges) < 1e-15

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from places import SCENES as FOLDER
+from places import scene_of
 
 from caster.cameras import Pinhole
 from caster.description.fields import Shape
@@ -23,7 +24,6 @@ from mitsuba_ref.shapes import reference_of
 
 SCENES = sorted(FOLDER.glob("*.toml"))
 GEM = next(FOLDER.rglob("gem.obj"))  # without normals of its own
-CAMERA = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
 MOVED = {"translate": [0.4, -0.7, 1.3]}
 TURNED = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
 STRETCHED = {"scale": [1.0, 2.0, 3.0]}
@@ -50,10 +50,6 @@ SHAPES: list[Shape] = [
 
 # Far below a pixel, far above a dozen roundings of each precision.
 OFF = {"float64": 1e-9, "float32": 1e-5}
-
-
-def scene_of(shape: Shape) -> Scene:
-    return Scene(camera=CAMERA, shapes=[shape])
 
 
 def claims_of(shape: Shape) -> list[str]:

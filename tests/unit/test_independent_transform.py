@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import scene_of
 
-from caster.scene.model import Scene
 from caster.shapes import Disk, Sphere
 from mitsuba_ref.error_model.independent_transform import angle_weighted_normals, transform_error_ratio
 from mitsuba_ref.judge.checks.shapes import check_placement
@@ -61,8 +61,7 @@ def test_one_entry_off_by_a_billionth_is_detected(step):
 
 def test_the_check_names_the_shape():
     shapes = [Sphere(), Disk(to_world=[TURN]), placed(np.eye(4), [MOVE]).model_copy(update={"name": "lid"})]
-    camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
-    scene = Scene(camera=camera, shapes=shapes[:2])
+    scene = scene_of(*shapes[:2])
     assert check_placement(scene).ok
     broken = scene.model_copy(update={"shapes": tuple(shapes)})
     assert check_placement(broken).what == "to_world of lid" and not check_placement(broken).ok

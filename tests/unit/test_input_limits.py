@@ -1,16 +1,16 @@
 """Inputs that would block, never end or need more memory than they hold are refused."""
 
 import os
-import subprocess
-import sys
 
 import pytest
+from programs import python
 
-from caster.description import parsing
+from caster.description import errors, parsing
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import read_input
 from caster.geometry.mesh_files import load_mesh
 from caster.image.exr import read_exr
+from caster.scene import model
 from caster.scene.files import load_scene, scene_from_text
 
 CAMERA = '[film]\nwidth = 8\nheight = 8\n[camera]\ntype = "orthographic"\nlook_at = [0, 0, 0]\neye = [0, 0, 5]\n'
@@ -57,13 +57,30 @@ def test_deep_nesting_is_an_error(kind, nested):
         scene_from_text(given, kind)
 
 
-def test_of_thousands_of_errors_fifty_are_listed():
-    wrong = "".join('[[shape]]\ntype = "sphere"\nradius = -1\n' for _ in range(3000))
+KEYS = "".join(f"near{i} = 1\n" for i in range(3000))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ('[[shape]]\ntype = "sphere"\nradius = -1\n' * 3000, "radius must be"),
+        (KEYS, "did you mean 'near'?"),
+        ('[[shape]]\ntype = "sphere"\n' + KEYS, "is an unknown key"),
+        ('[[shape]]\ntype = "sphere"\nname = "a"\n' * 3001, "must differ from that of shapes[0]"),
+    ],
+    ids=["a value", "keys of the camera", "keys of a shape", "names"],
+)
+def test_of_thousands_of_errors_fifty_are_described(wrong, says, monkeypatch):
+    """What a message says beside the place, such as the key that was meant, takes longer than all the rest."""
+    described, describe = [], errors.value_message
+    for module in (errors, model):
+        monkeypatch.setattr(module, "value_message", lambda *about: described.append(about) or describe(*about))
     with pytest.raises(SceneError) as found:
         scene_from_text(CAMERA + wrong)
     lines = str(found.value).splitlines()
-    assert len([line for line in lines if "radius must be" in line]) == parsing.MAX_ERRORS_LISTED
+    assert len([line for line in lines if says in line]) == parsing.MAX_ERRORS_LISTED
     assert lines[-1] == "<string>: and 2950 more"
+    assert len(described) <= parsing.MAX_ERRORS_LISTED + 1  # one by the validator of the scene
 
 
 @pytest.mark.parametrize(
@@ -82,7 +99,5 @@ def test_nothing_is_allocated_for_rows_that_the_file_cannot_hold(tmp_path, encod
         "import resource, sys; from caster.geometry.mesh_files import load_mesh\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30)); load_mesh(sys.argv[1])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a.ply")], capture_output=True, text=True, timeout=60
-    )
+    done = python("-c", code, tmp_path / "a.ply")
     assert done.returncode == 1 and "SceneError" in done.stderr and str(tmp_path) in done.stderr.splitlines()[-1]

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import scene_of
 
 from caster.aovs import Aovs
 from caster.cameras import Orthographic, Pinhole
@@ -87,9 +88,8 @@ def test_a_sensor_has_its_near_plane_before_its_far_plane(camera, near, far):
 
 def modelled(shape: Any, o: np.ndarray, d: np.ndarray) -> tuple[Scene, SharedRays, SceneModel]:
     """The judge's view of one shape and some rays (n, 3), in float32."""
-    camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
     rays = endless_rays(np.atleast_2d(o), np.atleast_2d(d))
-    scene = Scene(camera=camera, film={"width": len(rays.o), "height": 1}, shapes=[shape])
+    scene = scene_of(shape, film={"width": len(rays.o), "height": 1})
     return scene, rays, model_of(scene, packed_float32(scene), rays)
 
 
@@ -214,6 +214,5 @@ TURN = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
 @pytest.mark.parametrize("tiny", [5e-324, 3e-320, 1e-310, 1.4e-45, 1e-40], ids=str)
 def test_denormal_corners_are_rounded_by_the_spacing_of_denormal_numbers(tiny):
     corners = tiny * np.random.default_rng(4).integers(-9, 10, (3, 3))
-    camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
-    found = check_geometry(Scene(camera=camera, shapes=[Triangle(vertices=corners, to_world=[TURN])]))
+    found = check_geometry(scene_of(Triangle(vertices=corners, to_world=[TURN])))
     assert found.ok, found

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import ROOT
+from programs import printed_by, python
 
 from caster.jit import machine_code
 from caster.jit.arguments import describe, key_text
@@ -37,8 +38,7 @@ print("compiled", len(COMPILATION_LOG.compiled), "loaded", len(COMPILATION_LOG.l
 
 
 def run(home: Path, *command: str, tree: Path = ROOT, **more: str) -> subprocess.CompletedProcess[str]:
-    env = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(tree), **more}
-    return subprocess.run([sys.executable, *command], cwd=tree, env=env, capture_output=True, text=True)
+    return python(*command, cwd=tree, XDG_CACHE_HOME=str(home), PYTHONPATH=str(tree), **more)
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +172,7 @@ def test_two_processes_share_what_is_to_be_compiled(tmp_path):
     """Both do all of the work, each kernel is compiled once, and with a full cache no second process starts."""
     script = tmp_path / "two.py"
     script.write_text(TWO)
-    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, script], cwd=tmp_path, env=env, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    first, counts, second = done.stdout.splitlines()
+    first, counts, second = printed_by(script, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path)).splitlines()
     ran = (tmp_path / "done").read_text().splitlines()
     assert first == second and len({line.split()[0] for line in ran}) == len(ran) == 2
     assert len({line.partition(" ")[2] for line in ran}) == 1

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import scene_of
 
-from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.intersections import without_edges
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
@@ -19,12 +19,7 @@ LIGHTS = [
     {"type": "ambient", "radiance": [0.01, 0.0, 0.02]},
 ]
 MATERIALS = {"one": {"reflectance": [0.5, 0.25, 0.75]}, "both": {"reflectance": [0.2, 0.9, 0.4], "two_sided": True}}
-SCENE = Scene(
-    camera={"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]},
-    lights=LIGHTS,
-    materials=MATERIALS,
-    shapes=[{"type": "sphere", "material": "one"}, {"type": "sphere", "material": "both"}],
-)
+SCENE = scene_of(*({"type": "sphere", "material": name} for name in MATERIALS), lights=LIGHTS, materials=MATERIALS)
 COUNT = 600
 SHAPE = np.arange(COUNT) % 2  # which of the materials a point has
 REFLECTANCE = np.array([material["reflectance"] for material in MATERIALS.values()])[SHAPE]

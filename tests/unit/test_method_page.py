@@ -1,8 +1,8 @@
 """docs/method.md: its worked pixel follows from its formulas, and from the judge's own; its formulas are numbered."""
 
 import re
-import sys
 
+import method_pixel
 import numpy as np
 import pytest
 from places import ROOT
@@ -11,10 +11,6 @@ from caster.scene.files import load_scene
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE
 from mitsuba_ref.reference.shared_input import own_model, packed_float32
-
-sys.path.append(str(ROOT / "docs"))
-
-import method_pixel
 
 PAGE = method_pixel.PAGE.read_text(encoding="utf-8")
 

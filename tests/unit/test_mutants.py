@@ -2,9 +2,6 @@
 
 import ast
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +9,7 @@ from mutants.campaign import COMPILED_TESTS, END_TO_END, GROUPS, SMALL_AGREEMENT
 from mutants.operators import keys_of, mutants_of
 from mutants.page import page, score
 from places import ROOT
+from programs import printed_by
 
 MODULE = b'''"""Docstring 1 + 1."""
 __all__ = ["largest"[0:7]]
@@ -108,10 +106,7 @@ def trees(tmp_path_factory) -> dict[str, Path]:
             (tree / package / "__init__.py").write_text("")
         (tree / "caster/module.py").write_bytes(MODULE)
         (tree / "test_module.py").write_text(tests)
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}/benchmarks:{ROOT}/tests/reference"}
-    command = [sys.executable, "-P", "-c", CAMPAIGN, *map(str, found.values())]
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 0, ended.stderr
+    printed_by("-P", "-c", CAMPAIGN, *found.values(), PYTHONPATH=f"{ROOT}/benchmarks:{ROOT}/tests/reference")
     return found
 
 

@@ -17,20 +17,12 @@ from caster.rendering.threads import (
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 97])
-def test_every_piece_is_done_once(workers, count):
-    done: list[int] = []
-    parallel_for_pieces(lambda: done.append, list(range(count)), workers)
-    assert sorted(done) == list(range(count))
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_every_piece_that_is_done_is_reported_of_once_after_it(workers):
+def test_every_piece_is_done_once_and_reported_of_once_after_it(workers, count):
     done: list[int] = []
     told: list[tuple[int, bool]] = []
-    parallel_for_pieces(
-        lambda: done.append, list(range(97)), workers, lambda piece: told.append((piece, piece in done))
-    )
-    assert sorted(told) == [(piece, True) for piece in range(97)]
+    pieces = list(range(count))
+    parallel_for_pieces(lambda: done.append, pieces, workers, lambda piece: told.append((piece, piece in done)))
+    assert sorted(done) == pieces and sorted(told) == [(piece, True) for piece in pieces]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7])
@@ -106,11 +98,8 @@ def test_work_within_work_ends():
     assert len(done) == 80
 
 
-def test_as_many_as_requested():
-    assert thread_count(3) == 3 and thread_count() == core_count() >= 1
-
-
 def test_a_default_is_for_those_who_request_no_number():
+    assert thread_count(3) == 3 and thread_count() == core_count() >= 1
     set_default_threads(5)
     try:
         assert thread_count() == 5 and thread_count(2) == 2

@@ -1,15 +1,12 @@
 """Steps that a scene does not need are skipped, as the account of its work shows."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from places import ROOT
+from programs import printed_by
 
-from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, Pinhole, Plane, Scene, Sphere
+from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
 from caster.cameras import Ray
 from caster.cli.inspection import account
@@ -33,31 +30,23 @@ def told(a_scene, *aovs, **how):
     return account(render_film(a_scene, aovs, **how), aovs)
 
 
-@pytest.mark.parametrize("camera", [Fisheye, Panorama, Parabolic])
+@pytest.mark.parametrize("camera", [Fisheye, Panorama])
 def test_cameras_that_bend_lines_grow_no_tree_either(camera):
     what = told(scene(camera), "depth", "normal")
-    assert what["culling"]["name"] == "raster" and not any(kind["nodes"] for kind in what["primitives"])
-    assert "bounding sphere" in what["culling"]["reason"]
+    assert what["culling"] == "raster" and not any(kind["nodes"] for kind in what["primitives"])
 
 
 def test_a_pinhole_without_shadows_grows_no_tree():
     lit = scene(lights=[LAMP], shading={"shadows": False})
     for what in (told(lit, "depth", "normal"), told(lit, "diffuse")):
-        assert what["trees"] == {"runs": False, "reason": "no ray needs one"}
         assert all(kind["nodes"] == 0 for kind in what["primitives"])
 
 
 @pytest.mark.parametrize(
-    ("a_scene", "aov", "reason"),
-    [
-        (ALONG_A_RAY, "depth", "camera rays traverse them"),
-        (scene(lights=[LAMP]), "diffuse", "shadow rays traverse them"),
-    ],
-    ids=["one ray", "shadows"],
+    ("a_scene", "aov"), [(ALONG_A_RAY, "depth"), (scene(lights=[LAMP]), "diffuse")], ids=["one ray", "shadows"]
 )
-def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov, reason):
+def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov):
     what = told(a_scene, aov)
-    assert what["trees"] == {"runs": True, "reason": reason}
     assert [kind["nodes"] > 10 for kind in what["primitives"]] == [False, True]  # one sphere is too few for a tree
 
 
@@ -70,22 +59,20 @@ def test_shadow_rays_are_those_of_hits_that_face_the_light():
         p, n = view.position[view.hit], view.shading_normal[view.hit]
         to_light = np.array(lamp.position) - p if lamp.type == "point" else -np.array([lamp.direction])
         facing += int(((n * to_light).sum(axis=1) > 0.0).sum())
-    what = told(a_scene, "diffuse")
-    assert what["shadow_rays"]["cast"] == facing > 200
-    assert what["shading"] == {"runs": True, "reason": "diffuse was requested, and 2 lights come from somewhere"}
+    assert told(a_scene, "diffuse")["shadow_rays"] == facing > 200
 
 
 @pytest.mark.parametrize(
-    ("a_scene", "aovs", "reason"),
+    ("a_scene", "aov"),
     [
-        (scene(lights=[LAMP]), ("depth",), "diffuse was not requested"),
-        (scene(lights=[Ambient(radiance=(1, 1, 1))]), ("diffuse",), "no light of the scene comes from anywhere"),
-        (scene(lights=[LAMP], shading={"shadows": False}), ("diffuse",), "the scene switches shadows off"),
+        (scene(lights=[LAMP]), "depth"),
+        (scene(lights=[Ambient(radiance=(1, 1, 1))]), "diffuse"),
+        (scene(lights=[LAMP], shading={"shadows": False}), "diffuse"),
     ],
     ids=["not asked for", "ambient", "switched off"],
 )
-def test_no_shadow_ray_is_cast_without_need(a_scene, aovs, reason):
-    assert told(a_scene, *aovs)["shadow_rays"] == {"runs": False, "reason": reason, "cast": 0}
+def test_no_shadow_ray_is_cast_without_need(a_scene, aov):
+    assert told(a_scene, aov)["shadow_rays"] == 0
 
 
 @pytest.mark.parametrize(
@@ -115,16 +102,14 @@ def test_what_lies_behind_or_beside_is_not_looked_for(camera):
 
 def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    text = '[film]\nwidth = 8\nheight = 6\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
-    (tmp_path / "s.toml").write_text(text + '[[shape]]\ntype = "sphere"\n')
+    (tmp_path / "s.toml").write_text(LONELY)
     assert main(["render", "s.toml", "--aov", "depth,normal", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48
     assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
     words = capsys.readouterr().out
-    assert f"culling          name {data['culling']['name']}, reason {data['culling']['reason']}\n" in words
-    assert f"surfaces         hits {data['surfaces']['hits']}, worked out normals, " in words
-    assert f"trees            runs no, reason {data['trees']['reason']}\n" in words
+    assert f"\nculling              {data['culling']}\n" in words
+    assert f"\nsurfaces             normals of {data['surfaces']['hits']} hits\n" in words
 
 
 LONELY = """[film]
@@ -142,10 +127,8 @@ type = "sphere"
 @pytest.mark.skipif(not COMPILED, reason="without Numba there are no compiled kernels to count")
 def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tmp_path):
     (tmp_path / "s.toml").write_text(LONELY)
-    command = [sys.executable, "-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-    kernels = json.loads(run.stdout)["kernels"]
+    command = ["-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
+    kernels = json.loads(printed_by(*command, cwd=tmp_path))["kernels"]
     used = [*kernels["compiled"], *kernels["loaded"]]
     assert any("Spheres" in name for name in used)
     others = ["Triangles", "Ellipsoids", "Cylinders", "Disks", "Planes", "Tree", "Light", "Orthographic", "Fisheye"]
@@ -157,7 +140,7 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tm
 
 def test_without_culling_no_tree_is_grown():
     what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="brute-force")
-    assert what["culling"] == {"name": "brute-force", "reason": "as requested"}
+    assert what["culling"] == "brute-force"
     assert [kind["nodes"] for kind in what["primitives"]] == [0, 0]
 
 
@@ -182,7 +165,5 @@ print(machine_code.is_supported(), len(kernels) > 100 and slowly)
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 def test_no_kernel_of_a_render_or_a_cast_needs_numba_to_be_called():
     """Regression: for a flag among the arguments Numba was loaded, and each call took 0.13 ms."""
-    done = subprocess.run([sys.executable, "-c", EVERYTHING_ASKED], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    usable, _, slowly = done.stdout.strip().partition(" ")
+    usable, _, slowly = printed_by("-c", EVERYTHING_ASKED).strip().partition(" ")
     assert slowly == "[]" or usable == "False"

@@ -1,9 +1,7 @@
 """No module needs POSIX to be imported, and on other platforms a command says where it runs."""
 
-import subprocess
-import sys
-
 import pytest
+from programs import python
 
 # Modules of the standard library that Windows lacks.
 POSIX_ALONE = ("fcntl", "grp", "pty", "pwd", "resource", "syslog", "termios", "tty")
@@ -20,18 +18,14 @@ print(len(sys.modules))
 """
 
 
-def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-
-
 def test_no_module_needs_posix_to_be_imported():
-    found = run(WITHOUT_POSIX + IMPORT_ALL)
+    found = python("-c", WITHOUT_POSIX + IMPORT_ALL)
     assert found.returncode == 0, found.stderr
     assert int(found.stdout) > 200
 
 
 def test_a_name_of_the_package_says_where_it_runs():
-    found = run(ON_WINDOWS + "import caster; caster.render")
+    found = python("-c", ON_WINDOWS + "import caster; caster.render")
     last = found.stderr.strip().splitlines()[-1]
     assert found.returncode == 1 and last.startswith("ImportError: ") and "Windows Subsystem for Linux" in last
 
@@ -39,6 +33,6 @@ def test_a_name_of_the_package_says_where_it_runs():
 @pytest.mark.parametrize(("module", "words"), [("caster", ["--help"]), ("mitsuba_ref", ["validate"])])
 def test_a_command_says_where_it_runs_and_nothing_else(module, words):
     code = f"from {module}.__main__ import main\nsys.exit(main({words!r}))"
-    found = run(ON_WINDOWS + code)
+    found = python("-c", ON_WINDOWS + code)
     assert found.returncode == 4 and not found.stdout
     assert found.stderr.count("\n") == 1 and "Windows Subsystem for Linux" in found.stderr

@@ -3,12 +3,13 @@
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+from coin_scenes import COINS, LAMP, PINHOLE, PLACES
+from programs import python
 
 import caster
 from caster.cameras import CAMERAS
@@ -21,17 +22,11 @@ from caster.shapes import SHAPES
 
 PLUGIN = Path(__file__).parent / "coin_plugin.py"
 FILM = "[film]\nwidth = 24\nheight = 17\n"
-PINHOLE = '[camera]\ntype = "pinhole"\neye = [0.3, 0.4, 4]\nlook_at = [0, 0, 0]\n'
 SCANNER = '[camera]\ntype = "scanner"\neye = [0.3, 0.4, 4]\ndirection = [0, 0, -1]\nspacing = 0.25\n'
 ORTHOGRAPHIC = '[camera]\ntype = "orthographic"\neye = [0.3, 0.4, 4]\ndirection = [0, 0, -1]\nwidth = 6\n'
-LAMP = '[[light]]\ntype = "point"\nposition = [2, 3, 4]\nintensity = [9, 9, 9]\n'
-COINS = "".join(
-    f'[[shape]]\ntype = "coin"\ncenter = [{x}, 0.25, {z}]\nradius = {r}\n'
-    for x, z, r in ((-0.5, 0.0, 0.75), (0.5, 0.5, 0.5), (0.25, -1.0, 2.0))
-)
 DISKS = "".join(
     f'[[shape]]\ntype = "disk"\nto_world = [{{ scale = {r} }}, {{ translate = [{x}, 0.25, {z}] }}]\n'
-    for x, z, r in ((-0.5, 0.0, 0.75), (0.5, 0.5, 0.5), (0.25, -1.0, 2.0))
+    for x, z, r in PLACES
 )
 AOVS = ("hit", "depth", "normal", "position", "shape_id", "diffuse")
 
@@ -92,9 +87,7 @@ def test_a_registry_refuses_a_second_class_of_a_type_and_one_without(plugin):
 def command(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """The command `caster`, with `folder` among the places where distributions are installed."""
     paths = os.pathsep.join([str(folder), str(PLUGIN.parents[2])])
-    environment = {**os.environ, "PYTHONPATH": paths, "CASTER_JIT": "0"}
-    command = [sys.executable, "-P", "-m", "caster", *words]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return python("-P", "-m", "caster", *words, cwd=folder, PYTHONPATH=paths, CASTER_JIT="0")
 
 
 def install(folder: Path, module: str) -> None:

@@ -4,16 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from places import scene_of
+from triangle_soup import triangle_soup
 
 from caster import cast
 from caster.cameras import CAMERAS
-from caster.description.fields import Shape
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
-from caster.kernels.raster.screen_bounds import beyond_edge
-from caster.kernels.triangles import Triangles
-from caster.scene.model import Scene
+from caster.kernels.raster.screen_bounds import edge_line, is_beyond
 from caster.shapes import Cylinder, Disk, Sphere, Triangle
 
 ALONG_AXES = [{"scale": [1.0, 2.0, 0.5]}, {"translate": [0.3, -0.7, 5.0]}]  # so that boxes touch what they hold
@@ -27,12 +26,6 @@ CONVEX = {
     "triangle": Triangle(vertices=((0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (0.0, 1.0, 2.0))),
 }
 HITS = 1500
-
-
-def scene_of(shape: Shape) -> Scene:
-    return Scene(
-        film={"width": 8, "height": 6}, camera=CAMERAS[0](eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0)), shapes=[shape]
-    )
 
 
 @pytest.mark.parametrize("name", CONVEX)
@@ -83,9 +76,8 @@ def test_a_ray_projects_to_its_pixel_and_a_step_moves_it_no_further_than_stated(
 def test_the_lower_bound_of_a_packet_keeps_a_ray_at_an_edge():
     """A bundle of one ray, at an edge up to rounding: what `intersect` leaves open is not culled."""
     rng, undecided = np.random.default_rng(154), 0
-    none = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(1, bool), np.zeros(1, bool)
     for _ in range(200):
-        prims = Triangles(rng.normal(size=(3, 3)), np.array([[0, 1, 2]], np.int32), *none)
+        prims = triangle_soup(rng.normal(size=(3, 3)))
         o, share = rng.normal(size=3), rng.random()
         d = share * prims.vertices[0] + (1.0 - share) * prims.vertices[1] - o
         pre = prepare(prims, load(prims, 0), tuple(o))
@@ -106,8 +98,8 @@ def test_a_point_beyond_an_edge_is_in_no_triangle_with_corners_within_the_bound(
         wide = 10.0 ** rng.uniform(-3.0, 0.5)
         corners, point = rng.uniform(-10.0, 10.0, (3, 2)), rng.uniform(-11.0, 11.0, 2)
         a, b, c = ((*corner, wide, 1.0) for corner in corners)
-        assert not beyond_edge(a, b, c, math.inf, *point)
-        if beyond_edge(a, b, c, wide, *point):
+        assert not is_beyond(edge_line(a, b, c, math.inf), *point)
+        if is_beyond(edge_line(a, b, c, wide), *point):
             found += 1
             for _ in range(8):
                 moved = corners + wide * rng.choice([-1.0, 1.0], (3, 2)) - point

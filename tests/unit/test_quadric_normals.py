@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from caster.kernels.math.quadric_roots import fast_outward_normal, outward_normal
+from caster.kernels.math.vec import fast_unit_direction, unit_direction
 
 
 def test_both_ways_to_a_normal_round_a_tiny_component_alike():
@@ -11,11 +12,12 @@ def test_both_ways_to_a_normal_round_a_tiny_component_alike():
     rng = np.random.default_rng(150)
     for _ in range(500):
         r, tiny = 2.0 ** rng.uniform(80, 97), rng.uniform(1, 2) * 2.0 ** rng.uniform(-990, -960)
-        d = rng.normal(size=2)
-        y, z = (d / np.linalg.norm(d)).tolist()
+        across = rng.normal(size=2)
+        y, z = (across / np.linalg.norm(across)).tolist()
         f = (-tiny, -3.0 * r * y + 0.2 * r * z, -3.0 * r * z - 0.2 * r * y)
-        known, n = fast_outward_normal(f, (0.0, y, z), 2.0 * r, r)
-        assert known and n == outward_normal(f, (0.0, y, z), 2.0 * r, r)
+        d = 0.0, y, z
+        known, n = fast_outward_normal(f, d, fast_unit_direction(d), 2.0 * r, r)
+        assert known and n == outward_normal(f, d, unit_direction(d), 2.0 * r, r)
 
 
 @pytest.mark.parametrize("d", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8), (0.0, 0.8, -0.6)])
@@ -24,5 +26,5 @@ def test_a_sphere_too_small_for_a_square_has_its_normals_along_a_ray_through_its
     """Against the ray where it is met first; along it where t is sure to be beyond the centre."""
     far = 2.0**600
     f = tuple(-far * x for x in d)
-    assert outward_normal(f, d, far, r) == tuple(-x for x in d)
-    assert outward_normal(f, d, far * (1.0 + 2.0**-40), r) == d
+    assert outward_normal(f, d, d, far, r) == tuple(-x for x in d)
+    assert outward_normal(f, d, d, far * (1.0 + 2.0**-40), r) == d

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from places import scene_of
 
 import caster
 from caster.__main__ import main
@@ -15,7 +16,7 @@ GOOD = "f 1 2 3\nf 1 3 4\n"
 def a_mesh(tmp_path, more, **fields):
     (tmp_path / "m.obj").write_text(QUAD + more + GOOD)
     shape = caster.Mesh(file=str(tmp_path / "m.obj"), **fields)
-    return caster.Scene(shapes=[shape], camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)))
+    return scene_of(shape)
 
 
 def ids_across(scene):
@@ -63,9 +64,8 @@ def test_what_float32_makes_too_large_is_left_out_of_what_is_judged(tmp_path):
 def test_a_mesh_none_of_which_stays_finite_is_refused(tmp_path):
     (tmp_path / "m.obj").write_text("v 1e10 1e10 1e10\nv 1e11 -1e10 1e10\nv 1e10 1e10 -1e11\nf 1 2 3\n")
     shape = caster.Mesh(file=str(tmp_path / "m.obj"), to_world=({"scale": 1e305},))
-    scene = caster.Scene(shapes=[shape], camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)))
     with pytest.raises(caster.SceneError, match=r"shapes\[0\] \(mesh\): must stay finite in world space"):
-        caster.render(scene)
+        caster.render(scene_of(shape))
 
 
 def test_without_area_is_decided_exactly(tmp_path):
@@ -88,5 +88,5 @@ def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
     assert main(["check", "s.toml"]) == 0
     assert words in capsys.readouterr().out
     assert main(["render", "s.toml", "-o", "s.exr", "--explain"]) == 0
-    assert "never hit        shape-0 2\n" in capsys.readouterr().out
+    assert "never hit            2 faces of shape-0\n" in capsys.readouterr().out
     assert caster.read_exr("s.exr").provenance["caster/faces_never_hit"] == words

@@ -50,16 +50,6 @@ ONE_LINERS = [
         "5:1: shapes[0] (cylinder): p0 and p1 must be different points, got [1.0, 2.0, 3.0] for both",
     ),
     (
-        "wrong type",
-        shape("sphere", 'radius = "big"'),
-        '7:1: shapes[0] (sphere): radius must be a finite number, got "big"',
-    ),
-    (
-        "a quoted number",
-        shape("sphere", 'radius = "1.5"'),
-        '7:1: shapes[0] (sphere): radius must be a finite number, got "1.5": leave out the quotes',
-    ),
-    (
         "a date",
         shape("sphere", "center = 1979-05-27"),
         "7:1: shapes[0] (sphere): center must be 3 numbers [x, y, z], got 1979-05-27",
@@ -78,11 +68,6 @@ ONE_LINERS = [
         "too few",
         shape("triangle", "vertices = [[0, 0, 0]]"),
         "7:1: shapes[0] (triangle): vertices must be 3 points, got 1: [[0, 0, 0]]",
-    ),
-    (
-        "too many",
-        shape("triangle", "vertices = [[0,0,0],[1,0,0],[0,1,0],[0,0,1]]"),
-        "7:1: shapes[0] (triangle): vertices must be 3 points, got 4: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]",
     ),
     (
         "a missing key is told at the header",
@@ -133,11 +118,6 @@ ONE_LINERS = [
         "5:1: camera (fisheye): up must be a direction across the view [1, 0, 0], not along it, got [0, 0, 0]",
     ),
     (
-        "no direction",
-        camera("panorama", "direction = [0, 0, 0]"),
-        "4:1: camera (panorama): direction must be a direction, so not all zero, got [0, 0, 0]",
-    ),
-    (
         "no view",
         camera("pinhole", "fov = 30"),
         "1:1: camera (pinhole): direction or look_at is required, exactly one of the two, got neither",
@@ -154,10 +134,6 @@ ONE_LINERS = [
         .replace("= [0, 0, 1]", "= [1.7e308, 0, 1]"),
         "4:1: camera (pinhole): look_at must be nearer to eye, at a finite distance, got [1.7e+308, 0, 1]",
     ),
-    ("fov 0", CAMERA + "fov = 0\n", "5:1: camera (pinhole): fov must be > 0, got 0"),
-    ("fov 180", CAMERA + "fov = 180\n", "5:1: camera (pinhole): fov must be < 180, got 180"),
-    ("zero-size film", CAMERA + "[film]\nwidth = 0\n", "6:1: film: width must be >= 1, got 0"),
-    ("a film of mid-pixels", CAMERA + "[film]\nheight = 2.5\n", "6:1: film: height must be a whole number, got 2.5"),
     (
         "a crop outside",
         CAMERA + "[film]\nwidth = 8\nheight = 8\ncrop = [0, 0, 9, 8]\n",
@@ -188,11 +164,6 @@ ONE_LINERS = [
         "a projective matrix",
         shape("cube", "to_world = { matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]] }"),
         "7:14: shapes[0] (cube): to_world.matrix must end in the row [0, 0, 0, 1], got [0, 0, 1, 1]",
-    ),
-    (
-        "a small matrix",
-        shape("cube", "to_world = { matrix = [[1, 0], [0, 1]] }"),
-        "7:14: shapes[0] (cube): to_world.matrix must be 4 rows of 4 numbers, got 2: [[1, 0], [0, 1]]",
     ),
     (
         "an overflow",
@@ -267,7 +238,7 @@ ONE_LINERS = [
     (
         "a ragged bitmap",
         CAMERA + '[material.m]\nreflectance = { type = "bitmap", data = [[[0, 0, 0]], [[0, 0, 0], [1, 1, 1]]] }\n',
-        "6:34: materials.m: reflectance.data must have rows of the same number of pixels, got [1, 2]",
+        "6:34: materials.m: reflectance.data must have rows of the same length, got [1, 2]",
     ),
     (
         "a texture without uv",
@@ -305,8 +276,6 @@ ONE_LINERS = [
         CAMERA + "[check.dept]\nratio = 2\n",
         "5:1: checks.dept: unknown AOV, did you mean 'depth'? (known: ",
     ),
-    ("a check of no size", CAMERA + "[check.depth]\nratio = 0\n", "6:1: checks.depth: ratio must be > 0, got 0"),
-    ("dotted keys", CAMERA + "[light]\nx.y = 3\n", "5:1: scene: light must be a list, got a table"),
     ("syntax", "[film]\nwidth 3\n", "2:7: not valid TOML: expected '=' after a key in a key/value pair"),
     ("syntax at the end", "[film]\nwidth =", "2:8: not valid TOML: invalid value"),
     ("a key twice", "[film]\nwidth = 3\nwidth = 4\n", "3:10: not valid TOML: cannot overwrite a value"),

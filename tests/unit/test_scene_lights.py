@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from caster.cameras import Pinhole
-from caster.kernels.surface.lighting import incident_irradiance, light_direction, received_irradiance, shadow_ray
+from caster.kernels.surface.lighting import light_at, received_irradiance, shadow_ray
 from caster.rendering.images import render
-from caster.rendering.shading import distinct_materials
-from caster.scene.model import Ambient, Diffuse, Directional, Film, Point, Scene
+from caster.scene.model import Ambient, Directional, Film, Point, Scene
 from caster.shapes import Cylinder, Disk, Rectangle, Sphere
 
 POINTS = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
@@ -17,36 +16,30 @@ POINTS = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
 
 def test_a_point_light_fades_with_the_squared_distance():
     light = Point(position=[0, 0, 2], intensity=[4, 8, 12]).pack()
-    assert incident_irradiance(light, POINTS[0]) == ((0, 0, 1), (1, 2, 3))
-    assert incident_irradiance(light, POINTS[1])[1] == pytest.approx(np.array([4, 8, 12]) / 13)
+    assert light_at(light, POINTS[0])[2:] == ((0, 0, 1), (1, 2, 3))
+    assert light_at(light, POINTS[1])[3] == pytest.approx(np.array([4, 8, 12]) / 13)
     for p in POINTS:
-        assert math.hypot(*incident_irradiance(light, p)[0]) == pytest.approx(1, abs=2.0**-51)
+        assert math.hypot(*light_at(light, p)[2]) == pytest.approx(1, abs=2.0**-51)
 
 
 def test_the_shadow_ray_of_a_point_light_ends_in_it():
     light = Point(position=[1, 1, 1], intensity=[1, 1, 1]).pack()
     for p in POINTS:
-        d, reach = light_direction(light, p)
+        d, reach, _, _ = light_at(light, p)
         assert np.array_equal(np.array(p) + np.array(d) * reach, np.ones(3))
 
 
 def test_a_point_in_the_light_itself_gets_nothing_and_no_nan():
-    towards, strength = incident_irradiance(Point(position=[1, 2, 3], intensity=[1, 1, 1]).pack(), POINTS[2])
+    _, _, towards, strength = light_at(Point(position=[1, 2, 3], intensity=[1, 1, 1]).pack(), POINTS[2])
     assert np.isfinite(towards).all() and strength == (0, 0, 0)
 
 
 def test_a_directional_light_is_the_same_everywhere_and_never_ends():
     sun = Directional(direction=[0, -2, 0], irradiance=[1, 2, 3]).pack()
     for p in POINTS:
-        assert incident_irradiance(sun, p) == ((0, 1, 0), (1, 2, 3))
-        assert light_direction(sun, p) == ((0, 1, 0), math.inf)
+        assert light_at(sun, p) == ((0, 1, 0), math.inf, (0, 1, 0), (1, 2, 3))
     slanting = Directional(direction=[2, -3, -6], irradiance=[1, 2, 3]).pack()
-    assert light_direction(slanting, POINTS[0])[0] == pytest.approx((-2 / 7, 3 / 7, 6 / 7), rel=1e-15)
-
-
-def test_ambient_light_has_no_direction():
-    with pytest.raises(NotImplementedError, match="no direction"):
-        Ambient(radiance=[1, 1, 1]).pack()
+    assert light_at(slanting, POINTS[0])[0] == pytest.approx((-2 / 7, 3 / 7, 6 / 7), rel=1e-15)
 
 
 SUN = Directional(direction=[0, -1, 0], irradiance=[1, 2, 4]).pack()
@@ -124,17 +117,3 @@ def test_the_light_of_several_lamps_adds_up():
 
 
 LYING = [{"rotate": {"axis": [1, 0, 0], "degrees": -90}}, {"scale": 4}]
-
-
-def test_shapes_of_one_material_share_a_row_of_the_table():
-    """Whatever the material is called, and whether it is named or the default one."""
-    given = {"a": Diffuse(), "b": Diffuse(reflectance=(0.1, 0.2, 0.3)), "c": Diffuse(two_sided=True)}
-    names = ["", "a", "b", "c", "b"]
-    scene = Scene(
-        camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0)),
-        film=Film(width=4, height=4),
-        materials=given,
-        shapes=[Sphere(material=name) for name in names],
-    )
-    found, number = distinct_materials(scene)
-    assert number.tolist() == [0, 0, 1, 2, 1] and found == [Diffuse(), given["b"], given["c"]]

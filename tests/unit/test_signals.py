@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from programs import python
 
 from caster.system import process
 
@@ -105,9 +106,5 @@ def test_a_child_of_a_dead_parent_ends():
     source = "from caster.system.process import die_with_parent; die_with_parent(); print('lives')"
     found = {}
     for parent in (os.getpid(), 1):
-        environment = {**os.environ, process.PARENT_VARIABLE: str(parent), "PYTHONPATH": os.pathsep.join(sys.path)}
-        done = subprocess.run(
-            [sys.executable, "-c", source], env=environment, capture_output=True, text=True, check=False
-        )
-        found[parent] = done.stdout
+        found[parent] = python("-c", source, **{process.PARENT_VARIABLE: str(parent)}).stdout
     assert found == {os.getpid(): "lives\n", 1: ""}

@@ -1,8 +1,8 @@
 """The site of `make site`, without MkDocs: its pages, its map and a page for each command."""
 
-import importlib.util
 import re
 
+import build_site
 import pytest
 from places import ROOT
 
@@ -13,11 +13,8 @@ import mitsuba_ref
 @pytest.fixture
 def site(tmp_path, monkeypatch):
     """docs/build_site.py, which writes into a folder of the test."""
-    spec = importlib.util.spec_from_file_location("build_site", ROOT / "docs/build_site.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "PAGES", tmp_path / "pages")
-    return module
+    monkeypatch.setattr(build_site, "PAGES", tmp_path / "pages")
+    return build_site
 
 
 def test_the_map_of_the_site_has_every_page_and_every_command(site):

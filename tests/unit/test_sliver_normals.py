@@ -4,8 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from caster.kernels.math.vec import U, cross, permanent, sub, two_diff, two_product
-from caster.kernels.triangles import MIN_SIN_SQUARED, interpolated_uv, triangle_normal
+from caster.kernels.math.vec import U, cross, permanent, sub
+from caster.kernels.triangles import MIN_SIN_SQUARED, triangle_normal
 
 SAMPLES = 300
 FEW_U = 4 * U
@@ -59,22 +59,3 @@ def test_a_line_has_a_normal_across_it_and_a_point_has_none():
         n = np.array(triangle_normal(a, b, c))
         assert abs(np.linalg.norm(n) - 1.0) <= FEW_U and abs(n @ axis) <= FEW_U * np.abs(axis).max()
     assert triangle_normal((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (1.0, 2.0, 3.0)) == (0.0, 0.0, 0.0)
-
-
-def test_double_double_numbers_are_exact():
-    rng = np.random.default_rng(71)
-    numbers = rng.normal(size=(2 * SAMPLES, 2)) * 2.0 ** rng.integers(-60, 60, (2 * SAMPLES, 2))
-    with_error = 0
-    for a, b in numbers.tolist():
-        for (x, y), exact in (
-            (two_diff(a, b), Fraction(a) - Fraction(b)),
-            (two_product(a, b), Fraction(a) * Fraction(b)),
-        ):
-            assert Fraction(x) + Fraction(y) == exact
-            with_error += y != 0.0
-    assert with_error > SAMPLES
-
-
-def test_interpolated_uv_are_those_of_a_vertex_at_the_vertex():
-    uv = (0.25, 0.75), (0.5, 0.125), (0.375, 1.0)
-    assert tuple(interpolated_uv(tuple(row), *uv) for row in np.eye(3).tolist()) == uv

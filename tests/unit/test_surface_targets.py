@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import scene_of
 
 import caster
 from caster.geometry.packing import Triangles, pack
-from caster.scene.model import Scene
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
 from caster.shapes.linear_curve import RoundSegments
@@ -85,8 +85,7 @@ def test_every_kind_has_a_shape_here():
 @pytest.mark.parametrize("sort", targets.POINT_KINDS)
 @pytest.mark.parametrize("kind", SHAPES, ids=lambda kind: kind.__name__)
 def test_points_lie_on_a_surface_on_its_outline_or_just_outside(kind, sort):
-    camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
-    (found,) = pack(Scene(camera=camera, shapes=list(SHAPES[kind]))).kinds
+    (found,) = pack(scene_of(*SHAPES[kind])).kinds
     prims, k = found.prims, np.arange(COUNT) % 2
     points = KINDS[kind].surface_points(prims, k, np.random.default_rng([3, len(sort)]), sort)
     beyond, off = outside(prims, k, points.p)

@@ -2,13 +2,11 @@
 
 import json
 import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import pytest
-from places import ROOT
+from programs import printed_by
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS
@@ -112,7 +110,5 @@ ONE_BY_ONE = {"hit_precedes"}
 @pytest.mark.slow("every kernel is loaded")
 def test_every_kernel_that_rendering_calls_is_warmed():
     """Whatever is imported by a module of caster/rendering, in a process of its own."""
-    command = [sys.executable, "-P", "-c", WARMED]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    count, *left = done.stdout.split()
+    count, *left = printed_by("-P", "-c", WARMED).split()
     assert int(count) > 30 and set(left) == ONE_BY_ONE

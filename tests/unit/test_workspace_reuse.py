@@ -10,12 +10,6 @@ from caster import Film, Icosphere, Pinhole, Point, Scene, Sphere
 from caster.rendering import shading, threads
 from caster.rendering.images import render
 
-
-def a_scene() -> Scene:
-    camera = Pinhole(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0))
-    return Scene(film=Film(width=150, height=70), camera=camera, shapes=[Icosphere(subdivisions=4)])
-
-
 EVERY_IMAGE = ("depth", "normal", "position", "diffuse")
 
 
@@ -25,8 +19,10 @@ def no_spare_memory(monkeypatch):
 
 
 def a_large_scene() -> Scene:
-    lit = a_scene().model_copy(update={"lights": (Point(position=(2.0, 3.0, 4.0), intensity=(9.0, 9.0, 9.0)),)})
-    return lit.with_film(width=256, height=192)
+    camera = Pinhole(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0))
+    light = Point(position=(2.0, 3.0, 4.0), intensity=(9.0, 9.0, 9.0))
+    film = Film(width=256, height=192)
+    return Scene(film=film, camera=camera, shapes=[Icosphere(subdivisions=4)], lights=[light])
 
 
 def addresses(images) -> list[int]:

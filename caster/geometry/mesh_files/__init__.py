@@ -9,7 +9,7 @@ import json
 import os
 import struct
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
@@ -81,7 +81,7 @@ def readable(load: Callable[[str], Any]) -> AfterValidator:
     """For a field that is the path of a file, if any: resolves it where there are folders to be in; `load` reads it."""
 
     def resolved(file: str | None, info: Any) -> str | None:
-        return info.context.resolve(file, partial(load_once, load)) if file is not None and info.context else file
+        return info.context.resolve(file, load) if file is not None and info.context else file
 
     return AfterValidator(resolved)
 
@@ -106,7 +106,7 @@ class MeshFolders(NamedTuple):
             raise field_error(f"must lie {expected}, got {format_value(file)}: add --mesh-dir {mesh_dir}")
         where = str(next((path for path in tried if path.exists()), tried[0]))
         try:
-            load(where)
+            load_once(load, where)
         except SceneError as error:
             text = f"cannot be used: {str(error).removeprefix(f'{where}: ').replace(where, file)}"
             missing = isinstance(error, FileMissing)

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from caster.description.errors import SceneError
 from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans, vertex_normals
 
-LEAST = {b"v": 3, b"vt": 1, b"vn": 3}  # numbers that a statement needs
-
 # Statements without triangles. An unknown keyword is an error: it may be a misspelt face.
 WITHOUT_TRIANGLES = frozenset(
     b"vp p l o g s mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj ctech "
@@ -71,11 +69,12 @@ def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 def _numbers(words: list[bytes], place: str) -> list[float]:
     """The numbers of a statement v, vt or vn, as many as are kept."""
-    keyword, least = words[0].decode(), LEAST[words[0]]
+    keyword = words[0].decode()
+    least = 1 if keyword == "vt" else 3
     numbers = read_numbers(words[1:], place)
     if len(numbers) < least:
         raise SceneError(f"{place}: {keyword} needs {least} numbers, got {len(numbers)}")
-    row = [*numbers, 0.0][:2] if keyword == "vt" else numbers[:3]  # vt may have one number
+    row = [*numbers, 0.0][:2] if keyword == "vt" else numbers[:3]
     if keyword != "v" and not all(map(math.isfinite, row)):  # faces with such a vertex are rejected later
         raise SceneError(f"{place}: {keyword} must be finite numbers, got {format_row(row)}")
     return row
@@ -114,33 +113,17 @@ def _joined(v: Floats, vt: Floats, vn: Floats, corners: NDArray[np.int64], trian
     if np.all(corners[:, 1:] < 0):
         return Mesh(v, by_position)
     used, vertex = np.unique(corners, axis=0, return_inverse=True)
-    return Mesh(
-        v[used[:, 0]],
-        vertex.ravel()[triangles].astype(np.int32),
-        _normals_of(used, vn, v, by_position),
-        _uv_of(used, vt),
-    )
-
-
-def _normals_of(used: NDArray[np.int64], normals: Floats, positions: Floats, faces: NDArray[np.int32]) -> Floats | None:
-    """The normals of the file; generated ones for corners without, if some have one."""
-    absent = used[:, 2] < 0
-    if absent.all():
-        return None
-    found = normals[used[:, 2]]
-    if absent.any():
-        found[absent] = vertex_normals(positions, faces)[used[absent, 0]]
-    return found
-
-
-def _uv_of(used: NDArray[np.int64], uv: Floats) -> Floats | None:
-    absent = used[:, 1] < 0
-    if absent.all():
-        return None
-    flipped = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)
-    found = flipped[used[:, 1]]
-    found[absent] = 0.0
-    return found
+    faces = vertex.ravel()[triangles].astype(np.int32)
+    without_uv, without_normal = used[:, 1:].T < 0
+    uv = normals = None
+    if not without_uv.all():
+        uv = np.stack([vt[:, 0], 1.0 - vt[:, 1]], axis=1)[used[:, 1]]
+        uv[without_uv] = 0.0
+    if not without_normal.all():
+        normals = vn[used[:, 2]]
+        if without_normal.any():
+            normals[without_normal] = vertex_normals(v, by_position)[used[without_normal, 0]]
+    return Mesh(v[used[:, 0]], faces, normals, uv)
 
 
 def read_numbers(words: list[bytes], place: str, kind: Callable[[bytes], Any] = float) -> list[Any]:

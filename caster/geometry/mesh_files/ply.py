@@ -8,6 +8,7 @@ import re
 import struct
 from array import array
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, NamedTuple, Self
 
@@ -94,32 +95,30 @@ def _parse_header(data: bytes, where: str) -> tuple[str, dict[str, Element], int
         line += 1
         text = " ".join(data[start:stop].decode("ascii", "backslashreplace").split())
         start = stop + 1
-        found = HEADER_LINE.fullmatch(text)
-        if found is not None and found["end"]:
+        found, expected = HEADER_LINE.fullmatch(text), ""
+        if found is None:
+            expected = HEADER_LINES
+        elif found["end"]:
             return encoding or "ascii", elements, start, line + 1
-        expected = _add_header_line(found, encoding, elements) if found else HEADER_LINES
+        elif found.lastgroup and bool(encoding) == bool(found["encoding"]):
+            expected = "one line with the format, before all elements"
+        elif found["element"] in elements or (found["property"] and not elements):
+            expected = "each element once, and before its properties"
+        elif found["element"]:
+            elements[found["element"]] = Element(found["element"], int(found["rows"]), {})
+        elif found["property"]:
+            properties = elements[next(reversed(elements))].properties
+            expected = "each property of an element once" if found["property"] in properties else ""
+            types = [found["type"], found["length"]] if found["length"] else [found["type"]]
+            codes = [NUMBER_OF_TEXT] * len(types)
+            if encoding != "ascii":
+                codes = [BYTE_ORDERS[encoding] + TYPES[each] for each in types]
+            properties[found["property"]] = Property(*codes)
+        else:
+            encoding = found["encoding"] or encoding
         if expected:
             raise SceneError(f"{where}:{line}: PLY header: expected {expected}, got '{text[:60]}'")
-        encoding = (found and found["encoding"]) or encoding
     raise SceneError(f"{where}:{line}: PLY header: truncated: expected 'end_header', got the end of the file")
-
-
-def _add_header_line(line: re.Match[str], encoding: str, elements: dict[str, Element]) -> str:
-    """Add an element or a property; what is expected instead, if it may not stand here."""
-    if line.lastgroup and bool(encoding) == bool(line["encoding"]):
-        return "one line with the format, before all elements"
-    if line["element"] in elements or (line["property"] and not elements):
-        return "each element once, and before its properties"
-    if line["element"]:
-        elements[line["element"]] = Element(line["element"], int(line["rows"]), {})
-    elif line["property"]:
-        properties = elements[next(reversed(elements))].properties
-        if line["property"] in properties:
-            return "each property of an element once"
-        types = [line["type"], *([line["length"]] if line["length"] else [])]
-        binary = [BYTE_ORDERS[encoding] + TYPES[each] for each in types]
-        properties[line["property"]] = Property(*([NUMBER_OF_TEXT] * len(types) if encoding == "ascii" else binary))
-    return ""
 
 
 # ---- body ----
@@ -135,23 +134,23 @@ def _read_tables(data: bytes, where: str) -> dict[str, Table]:
     return _Body.of_text(rows, where).read_all(elements.values())
 
 
+@dataclass
 class _Body:
     """The numbers of a file as bytes, read element by element."""
 
-    def __init__(self, data: bytes, start: int, where: str) -> None:
-        self.data, self.at, self.where = data, start, where
-        self.row = 0  # rows read so far
-        self.lines: list[int] = []  # of the rows of a text
-        self.ends: NDArray[np.int64] | None = None  # where these rows end
+    data: bytes
+    at: int
+    where: str
+    lines: Sequence[int] = ()  # of the rows of a text
+    ends: NDArray[np.int64] | None = None  # where these rows end
+    row: int = 0  # rows read so far
 
     @classmethod
     def of_text(cls, rows: list[tuple[int, list[float]]], where: str) -> Self:
         """The body of rows of numbers, each with its line."""
         numbers = np.fromiter(chain.from_iterable(row for _, row in rows), NUMBER_OF_TEXT)
-        body = cls(numbers.tobytes(), 0, where)
-        body.lines = [line for line, _ in rows]
-        body.ends = numbers.itemsize * np.cumsum([len(row) for _, row in rows], dtype=np.int64)
-        return body
+        ends = numbers.itemsize * np.cumsum([len(row) for _, row in rows], dtype=np.int64)
+        return cls(numbers.tobytes(), 0, where, [line for line, _ in rows], ends)
 
     def read_all(self, elements: Iterable[Element]) -> dict[str, Table]:
         """The tables of all elements, which end where the file does. Raises SceneError."""
@@ -171,19 +170,24 @@ class _Body:
         self.element, self.first, start = element, self.row, self.at
         numbers, properties = range(len(element.properties)), list(element.properties.values())
         sizes = [len(values) for values in self._next_row()] if element.rows else [1] * len(properties)
-        layout = _layout(properties, sizes)
+        fields: list[Any] = []  # of a row; they are numbered, since properties may have any name
+        for k, (p, size) in enumerate(zip(properties, sizes, strict=True)):
+            fields += [(f"size{k}", p.length)] if p.length else []
+            fields += [(f"value{k}", p.type, (size,))]
+        layout = np.dtype(fields)
         count = min(element.rows, (len(self.data) - start) // layout.itemsize)
         rows = np.frombuffer(self.data, layout, count, start)
         ends = start + layout.itemsize * np.arange(1, count + 1)
-        self.row, self.at = self.first + count, start + rows.nbytes
         values: list[Any] = [rows[f"value{k}"].ravel() for k in numbers]
         counts: list[Any] = [np.full(count, size) for size in sizes]
+        self.row, self.at = self.first, start
         if (
-            count < element.rows
-            or any((rows[f"size{k}"] != sizes[k]).any() for k in numbers if properties[k].length)
-            or not (self.ends is None or np.array_equal(ends, self.ends[self.first : self.row]))
+            count == element.rows
+            and all((rows[f"size{k}"] == sizes[k]).all() for k in numbers if properties[k].length)
+            and (self.ends is None or np.array_equal(ends, self.ends[self.first : self.first + count]))
         ):
-            self.row, self.at = self.first, start
+            self.row, self.at = self.first + count, start + rows.nbytes
+        else:
             values, counts = [array("d") for _ in numbers], [array("q") for _ in numbers]
             for _ in range(element.rows):
                 for k, found in enumerate(self._next_row()):
@@ -224,15 +228,6 @@ class _Body:
 
     def _place(self) -> str:
         return f"{self.where}:{self.lines[self.row]}" if self.row < len(self.lines) else self.where
-
-
-def _layout(properties: list[Property], sizes: list[int]) -> np.dtype[Any]:
-    """The layout of a row; fields are numbered, since properties may have any name."""
-    fields: list[Any] = []
-    for k, (p, size) in enumerate(zip(properties, sizes, strict=True)):
-        fields += [(f"size{k}", p.length)] if p.length else []
-        fields += [(f"value{k}", p.type, (size,))]
-    return np.dtype(fields)
 
 
 # ---- the elements as a mesh or spheres ----

@@ -53,22 +53,18 @@ class Tree(NamedTuple):
     reach: float  # BOX_PADDING
 
 
-class Hulls(NamedTuple):
-    """Convex hulls that hold the primitives of a kind."""
+def hulls_of(prims: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(points (m, 3) float64, corners (n, points of a hull) int32) of convex hulls that hold so many primitives.
 
-    points: np.ndarray  # (m, 3) float64
-    corners: np.ndarray  # (n, points of a hull) int32: its points; (n, 0) for a kind without bounds
-
-
-def hulls_of(prims: Any, count: int) -> Hulls:
-    """The hulls of so many primitives; those of triangles share the vertices."""
+    Those of triangles share the vertices; corners are (n, 0) for a kind without bounds.
+    """
     if isinstance(prims, Triangles):
-        return Hulls(prims.vertices, prims.faces)
+        return prims.vertices, prims.faces
     size = int(hull_size(prims))
     points = np.empty((count * size, 3))
     if size:
         list_hull_points(prims, points, count)
-    return Hulls(points, np.arange(count * size, dtype=np.int32).reshape(count, size))
+    return points, np.arange(count * size, dtype=np.int32).reshape(count, size)
 
 
 @jit

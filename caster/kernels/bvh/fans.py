@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit, optional
-from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
-from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
+from caster.jit.simd import CHILDREN, LANES, lowest_bit
+from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import (
     FAN_FIELDS,
     LARGEST_T,
@@ -25,8 +25,8 @@ from caster.kernels.math.lanes import (
 )
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, row, scaled, sub
 from caster.kernels.protocol import Vec3, intersect, load, prepare
+from caster.kernels.raster.screen_bounds import edge_line
 from caster.kernels.raster.tile import (
-    CACHE_LINE,
     DX,
     FAN_X,
     FAN_Y,
@@ -151,14 +151,8 @@ def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) 
 def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
     """Boxes of the hulls order[start:stop] of projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
-        box = NOTHING
-        for j in range(corners.shape[1]):
-            box = with_point(box, row(projected, corners[order[at], j]))
-        if not store_prim(fan, prims, at, box):
-            box = NOTHING
-            for j in range(corners.shape[1]):
-                box = with_point(box, undivided(row(projected, corners[order[at], j])))
-            store_near_prim(fan, prims, at, box)
+        if not store_prim(fan, prims, at, hull_extent(corners, projected, order[at], True)):
+            store_near_prim(fan, prims, at, hull_extent(corners, projected, order[at], False))
 
 
 Extent = tuple[float, float, float, float, float, float]
@@ -169,16 +163,16 @@ NOTHING: Extent = math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
 
 
 @inlined
-def with_point(box: Extent, p: Vec3) -> Extent:
-    x, y, depth = p
-    return (min(box[0], x), min(box[1], -x), min(box[2], y), min(box[3], -y), min(box[4], depth), min(box[5], -depth))
-
-
-@inlined
-def undivided(p: Vec3) -> Vec3:
-    """A projected point before the division, within 2 u."""
-    over = p[2] if p[2] > 0.0 else 1.0
-    return p[0] * over, p[1] * over, p[2]
+def hull_extent(corners: Any, projected: Any, k: int, divided: bool) -> Extent:
+    """Bounds of the projected points of hull k, or of these before the division, within 2 u."""
+    left, right, low, high, near, far = NOTHING
+    for j in range(corners.shape[1]):
+        x, y, depth = row(projected, corners[k, j])
+        over = depth if (not divided) & (depth > 0.0) else 1.0
+        left, right = min(left, x * over), min(right, -(x * over))
+        low, high = min(low, y * over), min(high, -(y * over))
+        near, far = min(near, depth), min(far, -depth)
+    return left, right, low, high, near, far
 
 
 @inlined
@@ -326,10 +320,9 @@ def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
 # ---- primitives against rays ----
 
 Outline = tuple[Vec3, Vec3, Vec3]
-NO_LINE = 0.0, 0.0, 1.0
+NO_LINE, NO_POINT = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 NO_OUTLINE: Outline = NO_LINE, NO_LINE, NO_LINE
-NO_POINT = 0.0, 0.0, 0.0
-NO_PLANE = NO_POINT, NO_POINT, NO_POINT
+NO_PLANE: Outline = NO_POINT, NO_POINT, NO_POINT
 
 
 @optional(generic_inlined)
@@ -352,17 +345,6 @@ def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
     return NO_OUTLINE
 
 
-@inlined
-def edge_line(p: Vec3, q: Vec3, r: Vec3, wide: float) -> Vec3:
-    """The line (a, b, c) through the projections of p and q, moved away from r by `wide` along each axis.
-
-    Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
-    """
-    x, y = q[0] - p[0], q[1] - p[1]
-    side = 1.0 if x * (r[1] - p[1]) - y * (r[0] - p[0]) >= 0.0 else -1.0
-    return -side * y, side * x, side * (y * p[0] - x * p[1]) + ((abs(x) + abs(y)) * wide + TINY)
-
-
 @implement(separating_plane, Triangles)
 def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
     """The triangle's plane, with the light on its positive side: n . (a - o) > 0 where a ray starts and ends.
@@ -376,19 +358,6 @@ def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
     sure = abs(height) > abs_dot(error, ahead) + fan.perspective * fan.slack * l1_norm(spread) + TINY
     side = math.copysign(1.0, height) if sure else 0.0
     return a, scaled(side, n), error
-
-
-@inlined
-def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
-    """Prefetch a node, or the primitives of a leaf."""
-    if inside >= 0:
-        prefetch(tree.links, inside)
-        for field in range(FAN_FIELDS):
-            prefetch(bounds.nodes, inside * BOX_SIZE + field * CHILDREN)
-    else:
-        first = ~inside // LEAF_SIZE_BASE * PRIM_FIELDS
-        for number in range(0, LEAF_SIZE * PRIM_FIELDS, CACHE_LINE // 8):
-            prefetch(bounds.prims, first + number)
 
 
 @jit
@@ -422,7 +391,6 @@ def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any,
                         stack[at], depths[at] = stack[at - 1], depths[at - 1]
                         at -= 1
                     stack[at], depths[at] = tree.links[inside, j], depth
-                    prefetch_child(tree, bounds, stack[at])
                     top += 1
                 continue
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE

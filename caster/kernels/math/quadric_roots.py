@@ -9,20 +9,16 @@ from caster.kernels.math.vec import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,
     TINY,
-    UNIT_SQUARE_ATOL,
     U,
     certain_in_range,
     dot,
-    fast_normalize,
     filter_result,
     l1_norm,
     max_norm,
-    normalize,
     point_at,
     scaled,
     scaled_near_one,
     select,
-    unit_direction,
 )
 from caster.kernels.protocol import Vec3
 
@@ -134,21 +130,9 @@ def quadric_roots(setup: Any, d: Vec3, d_error: float) -> QuadricRoots:
 
 
 @jit
-def outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
-    """The unit vector from the centre of |p| = r to where f + t d meets it."""
-    along_d = unit_direction(d)
-    return _normal_at_reach(f, along_d, t * dot(d, along_d), r)
-
-
-@jit
-def unit_normal(f: Vec3, d: Vec3, t: float) -> Vec3:
-    """The same for r = 1 in object space, where every d is made unit length: a scene of any scale has the same bits."""
-    along_d = normalize(d)
-    return _normal_at_reach(f, along_d, t * dot(d, along_d), 1.0)
-
-
-@jit
-def _normal_at_reach(f: Vec3, along_d: Vec3, reach: float, r: float) -> Vec3:
+def outward_normal(f: Vec3, d: Vec3, along_d: Vec3, t: float, r: float) -> Vec3:
+    """The unit vector from the centre of |p| = r to where f + t d meets it; along_d: d at length 1."""
+    reach = t * dot(d, along_d)
     if not _is_in_range(f, r):
         e = min(
             -math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(max_norm(f))[1]
@@ -166,30 +150,18 @@ def normalize_in_range(v: Vec3) -> Vec3:
 
 
 @inlined
-def fast_outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> tuple[bool, Vec3]:
-    """(whether this is `outward_normal(f, d, t, r)`, that normal), without a branch; for a d of length 1."""
-    known = _is_in_range(f, r) & (abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL)
-    return known, _normal_where(known, f, d, t * dot(d, d), r)
-
-
-@inlined
-def fast_unit_normal(f: Vec3, d: Vec3, t: float) -> tuple[bool, Vec3]:
-    """(whether this is `unit_normal(f, d, t)`, that normal), without a branch."""
-    long, along_d = fast_normalize(d)
-    known = _is_in_range(f, 1.0) & long
-    return known, _normal_where(known, f, along_d, t * dot(d, along_d), 1.0)
+def fast_outward_normal(f: Vec3, d: Vec3, unit: tuple[bool, Vec3], t: float, r: float) -> tuple[bool, Vec3]:
+    """(whether this is `outward_normal`, that normal), without a branch; unit: (whether along_d is known, along_d)."""
+    long, along_d = unit
+    known = _is_in_range(f, r) & long
+    reach = t * dot(d, along_d) if known else 0.0
+    f, along_d = select(known, f, (0.0, 0.0, 0.0)), select(known, along_d, (0.0, 0.0, 1.0))
+    return known, normalize_in_range(radial_vector(f, along_d, reach, r if known else 1.0))
 
 
 @inlined
 def _is_in_range(f: Vec3, r: float) -> bool:
     return (r > MIN_RANGE) & (max(r, max_norm(f)) < MAX_RANGE)
-
-
-@inlined
-def _normal_where(known: bool, f: Vec3, d: Vec3, reach: float, r: float) -> Vec3:
-    """The normal if `known`, else that of harmless numbers."""
-    f, d = select(known, f, (0.0, 0.0, 0.0)), select(known, d, (0.0, 0.0, 1.0))
-    return normalize_in_range(radial_vector(f, d, reach if known else 0.0, r if known else 1.0))
 
 
 @inlined

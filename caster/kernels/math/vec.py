@@ -118,6 +118,12 @@ def unit_direction(a: Vec3) -> Vec3:
     return a if abs(dot(a, a) - 1.0) <= UNIT_SQUARE_ATOL else normalize(a)
 
 
+@inlined
+def fast_unit_direction(a: Vec3) -> tuple[bool, Vec3]:
+    """(whether this is `unit_direction(a)`, a), without a branch."""
+    return abs(dot(a, a) - 1.0) <= UNIT_SQUARE_ATOL, a
+
+
 @jit
 def scaled_near_one(a: Vec3) -> Vec3:
     """a times a power of two, which is exact: its largest component is in [1/2, 1), or it is zero."""
@@ -154,11 +160,7 @@ def hypotenuse(a: float, b: float) -> float:
 @jit
 def transposed_rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
     """The transpose of the matrix with these rows times v."""
-    return (
-        m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
-        m[0][1] * v[0] + m[1][1] * v[1] + m[2][1] * v[2],
-        m[0][2] * v[0] + m[1][2] * v[1] + m[2][2] * v[2],
-    )
+    return add(add(scaled(v[0], m[0]), scaled(v[1], m[1])), scaled(v[2], m[2]))
 
 
 @jit

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import inlined, jit
-from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, hypotenuse, l1_norm, point_at, row, sub
+from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, TINY, dot, hypotenuse, l1_norm, point_at, row, sub
 from caster.kernels.protocol import Vec3, distortion_bound, project, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.tile import Box
 
@@ -48,31 +48,9 @@ ProjectedPoint = tuple[float, float, float, float]
 DEPTH_ROUNDING = 1.0 - 2.0**-40
 
 
-NO_POINTS = math.inf, math.inf, -math.inf, -math.inf, math.inf
-"""(left, top, right, bottom, least depth) before the first point."""
-
-
-@inlined
-def box_union_point(box: tuple[float, float, float, float, float], point: ProjectedPoint) -> Any:
-    """A box and least depth extended by a point."""
-    x, y, wide, depth = point
-    left, top, right, bottom, least = box
-    return (min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth))
-
-
 @inlined
 def projected_corner(bounds: Any, i: int) -> ProjectedPoint:
     return bounds.projected[i, 0], bounds.projected[i, 1], bounds.projected[i, 2], bounds.projected[i, 3]
-
-
-@inlined
-def projected_hull(bounds: Any, corners: Any, k: int) -> Any:
-    """(box and least depth, largest depth) of hull k."""
-    box, deepest = NO_POINTS, -math.inf
-    for j in range(corners.shape[1]):
-        point = projected_corner(bounds, corners[k, j])
-        box, deepest = box_union_point(box, point), max(deepest, point[3])
-    return box, deepest
 
 
 @inlined
@@ -139,21 +117,26 @@ def misses_pixel_center(bounds: Any, corners: Any, k: int, more: float, x: int, 
     """Whether a triangle certainly does not contain the centre of a pixel; more: beyond the margins of its corners."""
     a, b = projected_corner(bounds, corners[k, 0]), projected_corner(bounds, corners[k, 1])
     c, p, q = projected_corner(bounds, corners[k, 2]), x + 0.5, y + 0.5
-    wide = max(max(a[2], b[2]), c[2]) + more
-    return beyond_edge(a, b, c, wide, p, q) | beyond_edge(b, c, a, wide, p, q) | beyond_edge(c, a, b, wide, p, q)
+    wide = max(max(a[2], b[2]), c[2]) + more  # inf, so that nothing is certain, if a corner is not projected
+    first, second, third = edge_line(a, b, c, wide), edge_line(b, c, a, wide), edge_line(c, a, b, wide)
+    return is_beyond(first, p, q) | is_beyond(second, p, q) | is_beyond(third, p, q)
 
 
 @inlined
-def beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, wide: float, x: float, y: float) -> bool:
-    """Whether a point certainly lies on the other side of the line through a and b than c.
+def edge_line(p: Any, q: Any, r: Any, wide: float) -> Vec3:
+    """The line (a, b, c) through the projections of p and q, moved away from r by `wide` along each axis.
 
-    That holds for all corners within `wide` of these along x and y, which covers the rounding here many times
-    (PROJECTION_MARGIN). False if a point is not projected: its margin is inf.
+    Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
     """
-    across, down = b[0] - a[0], b[1] - a[1]
-    third = across * (c[1] - a[1]) - down * (c[0] - a[0])
-    point = across * (y - a[1]) - down * (x - a[0])
-    return (point if third >= 0.0 else -point) < -(abs(across) + abs(down)) * wide
+    x, y = q[0] - p[0], q[1] - p[1]
+    side = 1.0 if x * (r[1] - p[1]) - y * (r[0] - p[0]) >= 0.0 else -1.0
+    return -side * y, side * x, side * (y * p[0] - x * p[1]) + ((abs(x) + abs(y)) * wide + TINY)
+
+
+@inlined
+def is_beyond(line: Vec3, x: float, y: float) -> bool:
+    """Whether a point lies beyond a line."""
+    return line[0] * x + line[1] * y + line[2] < 0.0
 
 
 EVERYWHERE = -math.inf, -math.inf, math.inf, math.inf, -math.inf  # the box of a kind without bounds
@@ -189,8 +172,12 @@ def bound_hulls(
         if corners.shape[1] == 0:
             store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
             continue
-        box, deepest = projected_hull(bounds, corners, k)
-        left, top, right, bottom, least = box
+        left, top, right, bottom, least, deepest = math.inf, math.inf, -math.inf, -math.inf, math.inf, -math.inf
+        for j in range(corners.shape[1]):
+            x, y, margin, depth = projected_corner(bounds, corners[k, j])
+            left, top = min(left, x - margin), min(top, y - margin)
+            right, bottom = max(right, x + margin), max(bottom, y + margin)
+            least, deepest = min(least, depth), max(deepest, depth)
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, hypotenuse(wide, high))
         if not valid or more > wide + high:

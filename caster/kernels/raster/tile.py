@@ -60,27 +60,23 @@ TILE_NUMBERS = 6
 class KindNumbers(NamedTuple):
     """Places in a row for one kind of primitive."""
 
-    run: slice  # of BinnedKind.order: its primitives
-    present: int  # 1 where it has any
+    run: slice  # of BinnedKind.order: where its primitives begin, and how many there are
+    present: int  # the second of these
 
 
 def kind_numbers(k: int) -> KindNumbers:
-    at = TILE_NUMBERS + 3 * k
-    return KindNumbers(slice(at, at + 2), at + 2)
+    at = TILE_NUMBERS + 2 * k
+    return KindNumbers(slice(at, at + 2), at + 1)
 
 
 def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """Arguments of commands (tiles, numbers) int64. runs: (tiles + 1,) of each kind; None: all kinds in all tiles."""
     boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
-    rows = np.zeros((len(boxes), TILE_NUMBERS + 3 * kinds), np.int64)
+    rows = np.zeros((len(boxes), TILE_NUMBERS + 2 * kinds), np.int64)
     rows[:, BOX], rows[:, LINES] = boxes, boxes[:, 3] - boxes[:, 1]
     rows[:, COUNT] = rows[:, LINES] * WIDTH
     for k in range(kinds):
-        at = kind_numbers(k)
-        rows[:, at.present] = 1
-        if runs is not None:
-            rows[:, at.run.start], rows[:, at.run.start + 1] = runs[k][:-1], runs[k][1:]
-            rows[:, at.present] = runs[k][:-1] < runs[k][1:]
+        rows[:, kind_numbers(k).run] = (0, 1) if runs is None else np.column_stack([runs[k][:-1], np.diff(runs[k])])
     return rows
 
 
@@ -189,19 +185,13 @@ def store_nearest(tile: Any, numbers: Any, ids: Any, nearest: Any, uncertain: An
 DEPTH_BUCKETS, DEPTH_BUCKET_SHIFT = 128, 52 - 4
 
 
-@inlined
-def depth_bucket(bits: int, last: int) -> int:
-    """The depth bucket of a primitive. bits, last: the bits of its depth and of the largest depth, as int64."""
-    nearer = (last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)
-    return min(max(DEPTH_BUCKETS - 1 - nearer, 0), DEPTH_BUCKETS - 1)
-
-
 @jit
 def bin_into_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
     """Append primitives queue[start:stop] to the list of each tile that they overlap, by depth bucket.
 
+    bits, last: the bits, as int64, of the depth of each primitive, and of the largest depth.
     The list of tile n and a bucket ends at order[ends[n * DEPTH_BUCKETS + bucket]]. With an empty `order` primitives
     are only counted, in `ends`. Tiles are numbered row by row, `across` in a row. An empty queue stands for all
     primitives in their own order.
@@ -209,7 +199,8 @@ def bin_into_tiles(
     for prim_number in range(start, stop):
         k = queue[prim_number] if len(queue) > 0 else prim_number
         if (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3]):
-            into = depth_bucket(bits[k], last)
+            nearer = (last >> DEPTH_BUCKET_SHIFT) - (bits[k] >> DEPTH_BUCKET_SHIFT)
+            into = min(max(DEPTH_BUCKETS - 1 - nearer, 0), DEPTH_BUCKETS - 1)
             for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     n = (y * across + x) * DEPTH_BUCKETS + into

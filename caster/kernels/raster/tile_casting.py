@@ -127,16 +127,18 @@ SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
 def cast_in_bounds(
     prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any, shares_origin: bool
 ) -> None:
-    """Cast a tile at primitives order[run[0]:run[1]] of a kind, whose places begin at `base`, in their screen bounds.
+    """Cast a tile at the run[1] primitives from order[run[0]] on of a kind, in their screen bounds.
 
+    base: the place of the kind's first primitive.
     shares_origin: whether all rays start at one point; else they have one direction (an orthographic camera).
     """
     o = get(tile, OX)
     far, tried, patience = math.inf, 0, PIXELS
     looked, low, high = False, o, o
-    for at in range(run[0], run[1]):
+    stop = run[0] + run[1]
+    for at in range(run[0], stop):
         k = order[at]
-        prefetch_ahead(prims, order, at, run[1], bounds)
+        prefetch_ahead(prims, order, at, stop, bounds)
         near, rect = max(bounds.near[k], 0.0), bounds_in_tile(bounds.pixels, k, box)
         x_start, y_start, x_stop, y_stop = rect
         tries = (x_stop - x_start) * (y_stop - y_start)
@@ -156,8 +158,8 @@ def cast_in_bounds(
                 y_start = y_stop  # hidden, but that took as long to find
         by_row = len(bounds.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
         for y in range(y_start, y_stop):
-            start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
-            for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
+            left, right = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
+            for first in range(lane(y * WIDTH + left), lane(y * WIDTH + max(left, right)), lane(LANES)):
                 if not (small or any_sum_reaches(tile, T + first, T_ERROR + first, near)):
                     continue
                 if shares_origin:

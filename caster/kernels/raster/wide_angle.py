@@ -1,24 +1,11 @@
-"""What fisheyes, panoramas and parabolic cameras share: spheres and hulls in their projections."""
+"""What fisheyes and panoramas share: rays, and spheres and hulls in their projections."""
 
 import math
 from typing import Any
 
-from caster.jit.decorators import inlined, jit
+from caster.jit.decorators import inlined
 from caster.kernels.math.vec import add, dot, l1_norm, scaled, select, sub
 from caster.kernels.protocol import Vec3
-
-# What the cameras that see around share: the eye, its axes, and the circle inscribed in the film.
-
-
-def film_circle(width: int, height: int) -> Vec3:
-    """(centre x, centre y, radius) of the largest centred circle, in pixels."""
-    return 0.5 * width, 0.5 * height, 0.5 * min(width, height)
-
-
-@jit
-def to_circle_units(circle: Any, x: float, y: float) -> tuple[float, float]:
-    """Film position in units of the circle's radius, to the right and up from its centre."""
-    return (x - circle[0]) / circle[2], (circle[1] - y) / circle[2]
 
 
 @inlined
@@ -52,23 +39,6 @@ def sphere_in_camera_space(camera: Any, center: Vec3, r: float) -> tuple[Vec3, f
     distance = math.sqrt(dot(q, q)) if plain else 0.0
     place = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
     return place, distance, plain & (r <= MAX_SPHERE_SIZE * distance)
-
-
-SphereProjection = tuple[float, float, float, float, float, bool]
-"""(left, top, right, bottom, least depth, valid) of a sphere; see protocol.project_bounding_sphere"""
-
-# Depth is the distance from the eye.
-
-
-@inlined
-def off_film(depth: float) -> SphereProjection:
-    """Off the film."""
-    return math.inf, math.inf, -math.inf, -math.inf, depth, True
-
-
-@inlined
-def unknown_projection(depth: float) -> SphereProjection:
-    return 0.0, 0.0, 0.0, 0.0, depth, False
 
 
 MAX_HULL_ANGLE = 0.1  # radians: how far apart the points of a hull may be for `hull_distortion_bound`

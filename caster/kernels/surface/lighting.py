@@ -4,14 +4,11 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import LANES
-from caster.kernels.math.lanes import lanes_in_range
 from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, select, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
     ONE,
     PRIM,
-    SURFACE_LANES,
     T_MAX,
     T_MIN,
     UNCERTAIN,
@@ -51,39 +48,26 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 
 @generic_inlined
-def light_direction(light: Any, p: Vec3) -> Any:
-    """(d, reach): the direction from p to the light, and its distance in lengths of d."""
+def light_at(light: Any, p: Vec3) -> Any:
+    """(d, reach, unit, irradiance): d from p to the light, whose distance is `reach` lengths of d; d at length 1, and
+    the irradiance across it.
+    """
 
 
-@generic_inlined
-def incident_irradiance(light: Any, p: Vec3) -> Any:
-    """(unit vector from p to the light, irradiance across it)."""
-
-
-@implement(light_direction, PointLight)
-def _direction_to_point_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
-    return sub(light.position, p), 1.0
-
-
-@implement(incident_irradiance, PointLight)
-def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
+@implement(light_at, PointLight)
+def _point_light_at(light: Any, p: Vec3) -> tuple[Vec3, float, Vec3, Vec3]:
     """Intensity over squared distance; 0 at the light itself."""
     d = sub(light.position, p)
     square = dot(d, d)
     apart = square > 0.0
     safe = square if apart else 1.0
     r, g, b = light.intensity
-    return scaled(1.0 / math.sqrt(safe), d), select(apart, (r / safe, g / safe, b / safe), NOWHERE)
+    return d, 1.0, scaled(1.0 / math.sqrt(safe), d), select(apart, (r / safe, g / safe, b / safe), NOWHERE)
 
 
-@implement(light_direction, DirectionalLight)
-def _direction_to_directional_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
-    return light.back, math.inf
-
-
-@implement(incident_irradiance, DirectionalLight)
-def _irradiance_of_directional_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
-    return light.back, light.irradiance
+@implement(light_at, DirectionalLight)
+def _directional_light_at(light: Any, p: Vec3) -> tuple[Vec3, float, Vec3, Vec3]:
+    return light.back, math.inf, light.back, light.irradiance
 
 
 @inlined
@@ -92,7 +76,7 @@ def received_irradiance(light: Any, p: Vec3, sh_n: Vec3, d: Vec3, two_sided: boo
 
     The shading normal decides about sides. One-sided surfaces are dark from behind.
     """
-    towards, irradiance = incident_irradiance(light, p)
+    _, _, towards, irradiance = light_at(light, p)
     cosine, facing = dot(towards, sh_n), -dot(d, sh_n)
     faces = cosine * facing > 0.0 if two_sided else (cosine > 0.0) & (facing > 0.0)
     return faces, scaled(abs(cosine), irradiance)
@@ -107,31 +91,25 @@ def shadow_ray(
     It starts off the surface, on the side of the light. Hits nearer than the offset do not count, since rounding may
     put a hit in the crease of two faces behind the other one.
     """
-    lean = dot(n, incident_irradiance(light, p)[0])
+    lean = dot(n, light_at(light, p)[2])
     side = 1.0 if lean > 0.0 else (-1.0 if lean < 0.0 else 0.0)
     offset = SHADOW_OFFSET * max(max_norm(o) + t * math.sqrt(dot(d, d)) + max_norm(p), extent)
     start = point_at(p, side * offset, n)
-    way, reach = light_direction(light, start)
+    way, reach, _, _ = light_at(light, start)
     away = math.sqrt(dot(way, way))
     return start, way, offset / away if away > 0.0 else 0.0, reach
 
 
 @jit
-def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
-    """Write ALBEDO and SIDES of the hits from tables by material, and RADIANCE 0; materials[prim]: a primitive's."""
+def materials_in_tile(tile: Any, box: Box, shapes: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
+    """Write ALBEDO and SIDES of the hits from tables by shape, and RADIANCE 0; shapes[prim]: that of a primitive."""
     for y in range(box[3] - box[1]):
-        if len(two_sided) == 1:  # without table look-ups several pixels are filled at once
-            for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-                put(buffer, ALBEDO + i, row(reflectance, 0))
-                buffer[SIDES + i] = 1.0 if two_sided[0] else 0.0
-        else:
-            for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-                prim = tile[PRIM + i]
-                number = lane(materials[lane(prim if prim >= 0.0 else 0.0)])
-                put(buffer, ALBEDO + i, row(reflectance, number))
-                buffer[SIDES + i] = 1.0 if two_sided[number] else 0.0
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
+            prim = tile[PRIM + i]
+            number = lane(shapes[lane(prim if prim >= 0.0 else 0.0)])
+            put(buffer, ALBEDO + i, row(reflectance, number))
+            buffer[SIDES + i] = 1.0 if two_sided[number] else 0.0
+            put(buffer, RADIANCE + i, NOWHERE)
 
 
 @jit
@@ -145,59 +123,43 @@ def shadow_rays_in_tile(
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
-        for at in range(y * WIDTH, y * WIDTH + width, SURFACE_LANES):
-            stop = min(at + SURFACE_LANES, y * WIDTH + width)
-            if not shows_any(tile, lane(at)):
-                clear_rays(shadow_tile, at, stop)
-                continue
-            for i in range(lane(at), lane(stop)):
-                prim = tile[PRIM + i]
-                shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
-            # without a branch, so that several pixels are done at once; results of misses are not used
-            for i in range(lane(at), lane(stop)):
-                (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
-                p, n = select(hit, get(buffer, P + i), NOWHERE), select(hit, get(buffer, N + i), NOWHERE)
-                sh_n = select(hit, get(buffer, SH_N + i), NOWHERE)
-                t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
-                lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
-                put(buffer, FLUX + i, flux)
-                start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
-                there = lit & hit
-                aim = (
-                    select(there, start, NOWHERE),
-                    select(there, way, (0.0, 0.0, 1.0)),
-                    near if there else 0.0,
-                    reach if there else -1.0,
-                )
-                start_ray(shadow_tile, i, aim)
-                count += 1 if there else 0
+        first, stop = lane(y * WIDTH), lane(y * WIDTH + width)
+        for i in range(first, stop):
+            prim = tile[PRIM + i]
+            shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
+        # without a branch, so that several pixels are done at once; results of misses are not used
+        for i in range(first, stop):
+            (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
+            p, n = select(hit, get(buffer, P + i), NOWHERE), select(hit, get(buffer, N + i), NOWHERE)
+            sh_n = select(hit, get(buffer, SH_N + i), NOWHERE)
+            t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
+            lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
+            put(buffer, FLUX + i, flux)
+            start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
+            there = lit & hit
+            aim = (
+                select(there, start, NOWHERE),
+                select(there, way, (0.0, 0.0, 1.0)),
+                near if there else 0.0,
+                reach if there else -1.0,
+            )
+            start_ray(shadow_tile, i, aim)
+            count += 1 if there else 0
         clear_rays(shadow_tile, y * WIDTH + width, (y + 1) * WIDTH)
     total[0] += count
     return count
-
-
-@inlined
-def shows_any(tile: Any, first: Any) -> bool:
-    """Whether one of SURFACE_LANES pixels has a hit."""
-    found = 0
-    for at in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
-        found |= lanes_in_range(tile, PRIM + first + at, 0.0, math.inf)
-    return found != 0
 
 
 @jit
 def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
     """Add the light to RADIANCE after the shadow rays have been cast; UNCERTAIN where a shadow is uncertain."""
     for y in range(box[3] - box[1]):
-        for at in range(y * WIDTH, y * WIDTH + box[2] - box[0], SURFACE_LANES):
-            if not shows_any(tile, lane(at)):
-                continue
-            for i in range(lane(at), lane(min(at + SURFACE_LANES, y * WIDTH + box[2] - box[0]))):
-                lit = (shadow_tile[T_MAX + i] >= 0.0) & (shadow_tile[T + i] == math.inf)
-                reflected = reflected_radiance(get(buffer, ALBEDO + i), get(buffer, FLUX + i))
-                put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))
-                open_ = lit & (shadow_tile[UNCERTAIN + i] != 0.0)
-                tile[UNCERTAIN + i] = 1.0 if open_ else tile[UNCERTAIN + i]
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            lit = (shadow_tile[T_MAX + i] >= 0.0) & (shadow_tile[T + i] == math.inf)
+            reflected = reflected_radiance(get(buffer, ALBEDO + i), get(buffer, FLUX + i))
+            put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))
+            open_ = lit & (shadow_tile[UNCERTAIN + i] != 0.0)
+            tile[UNCERTAIN + i] = 1.0 if open_ else tile[UNCERTAIN + i]
 
 
 @inlined

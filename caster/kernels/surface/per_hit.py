@@ -29,6 +29,7 @@ from caster.kernels.raster.tile import (
     SURFACE_LANES,
     SURFACES,
     SURFACES_WITH_UV,
+    T_MIN,
     UNCERTAIN,
     WIDTH,
     Box,
@@ -80,10 +81,6 @@ NO_IDS = PrimitiveIds(np.empty(0, np.int32), np.empty(0, np.int32))
 
 
 SURFACE_SIZE = SURFACE_FIELDS * STRIDE + CACHE_LINE // 8  # numbers of a surface buffer
-
-
-def new_surface_buffer() -> np.ndarray:
-    return np.zeros(SURFACE_SIZE)
 
 
 @inlined
@@ -259,15 +256,10 @@ def per_hit(aov: Any, hit: Any) -> Any:
 
 
 @inlined
-def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
-    if image.ndim == 2:
-        image[y, x] = value
-        return
+def store_channels(image: Any, y: Any, x: Any, value: Any) -> None:
     numbers, n = image.flat, (lane(y) * lane(image.shape[1]) + lane(x)) * lane(len(value))
     if len(value) == 3:  # unrolled, so that LLVM writes several pixels at once
         numbers[n], numbers[n + lane(1)], numbers[n + lane(2)] = value[0], value[1], value[2]
-    elif len(value) == 2:
-        numbers[n], numbers[n + lane(1)] = value[0], value[1]
     else:
         for c in range(len(value)):
             numbers[n + lane(c)] = value[c]
@@ -281,43 +273,32 @@ def store_pixel(aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any
     if image.ndim == 2:
         image[y, x] = per_hit(aov, hit) if inside else aov.miss
     else:
-        store_value(image, y, x, per_hit(aov, hit) if inside else aov.misses)
+        store_channels(image, y, x, per_hit(aov, hit) if inside else aov.misses)
 
 
 @jit
-def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, image: Any) -> None:
+def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, from_t_min: bool, image: Any) -> None:
     """Write an AOV to the pixels of a box: its per-hit kernel at hits, its miss value elsewhere.
 
-    image: (h, w) or (h, w, c) of the whole window. start: (h, w), or empty for 0 everywhere.
+    image: (h, w) or (h, w, c) of the whole window. from_t_min: whether depth counts from T_MIN; else from 0.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first = lane((y - y0) * WIDTH)
-        if start.size > 0:
-            for x in range(lane(x1 - x0)):
-                begin = start[y, lane(x0) + x]
-                store_pixel(aov, tile, buffer, ids, begin, first + x, image, y, lane(x0) + x)
-        else:
-            for x in range(lane(x1 - x0)):
-                store_pixel(aov, tile, buffer, ids, 0.0, first + x, image, y, lane(x0) + x)
+        for x in range(lane(x1 - x0)):
+            start = tile[T_MIN + first + x] if from_t_min else 0.0
+            store_pixel(aov, tile, buffer, ids, start, first + x, image, y, lane(x0) + x)
 
 
 @jit
 def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
-    """Write whether each pixel of a box hits anything, and whether it has to be decided exactly.
-
-    uncertain: False everywhere before.
-    """
+    """Write whether each pixel of a box hits anything, and whether it has to be decided exactly."""
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
-        any_uncertain = 0  # an integer: a sum of floats keeps LLVM from using vectors
         for x in range(count):
             hit[y, lane(x0) + x] = tile[PRIM + first + x] >= 0.0
-            any_uncertain += 1 if tile[UNCERTAIN + first + x] != 0.0 else 0
-        if any_uncertain > 0:
-            for x in range(count):
-                uncertain[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
+            uncertain[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
 
 
 @inlined

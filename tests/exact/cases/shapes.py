@@ -17,6 +17,7 @@ from caster import (
     Mesh,
     Plane,
     Rectangle,
+    Scene,
     Sphere,
     SphereCloud,
     Teapot,
@@ -127,11 +128,11 @@ class Aim(NamedTuple):
 
 
 def rays_at(
-    make: Any, part: Any, count: int, size: float = 1.0, aim: Aim | None = None
+    make: Any, scene: Scene, count: int, size: float = 1.0, aim: Aim | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rays (n, 3), (n, 3) in the maker's precision, d of about unit length, at points of one shape's arrays."""
+    """Rays (n, 3), (n, 3) in the maker's precision, d of about unit length, at points of the only shape."""
     rng, aim = make.rng, aim or Aim()
-    p, n = spots_on(part, rng, count, aim.edges, size)
+    p, n = spots_on(scene.derived["packed"].parts[0], rng, count, aim.edges, size)
     n = np.where(np.isfinite(n).all(axis=1, keepdims=True), n, direction(rng, len(n)))  # a face without area has none
     slope = (decades(rng, *aim.slopes, len(p)) * rng.choice([-1.0, 1.0], len(p)))[:, None]
     away = slope * n + np.sqrt(1.0 - slope * slope) * across(rng, n)

@@ -15,7 +15,7 @@ def distances(make: Maker) -> Iterator[Question]:
     """From 10 to 10^8 sizes away, through the middle and at rims."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((10.0, 1e8), (0.05, 1.0)))
+        o, d = rays_at(make, scene, make.count(60), aim=Aim((10.0, 1e8), (0.05, 1.0)))
         yield make.ask(kind, scene, o, d, hit=10)
 
 
@@ -109,9 +109,8 @@ def inside(make: Maker) -> Iterator[Question]:
     for kind in CLOSED:
         shape = shape_of(kind, make.rng)
         scene = make.scene([shape])
-        part = scene.derived["packed"].parts[0]
         count = make.count(60)
-        o, d = rays_at(make, part, count, aim=Aim(distances=(1e-16, 1e-2), edges=0.0))
+        o, d = rays_at(make, scene, count, aim=Aim(distances=(1e-16, 1e-2), edges=0.0))
         middle = np.zeros((len(o), 3))
         inward = 0.999 * make.rng.random((len(o), 1)) * (o + d * 0)
         choice = make.rng.integers(0, 3, len(o))[:, None]
@@ -125,8 +124,7 @@ def on_the_surface(make: Maker) -> Iterator[Question]:
     """From a rounded point of the surface, and from an exact one, where t = 0 is no hit: outwards, inwards, along."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        part = scene.derived["packed"].parts[0]
-        o, _ = rays_at(make, part, make.count(45), aim=Aim(distances=(1e-30, 2e-30)))
+        o, _ = rays_at(make, scene, make.count(45), aim=Aim(distances=(1e-30, 2e-30)))
         yield make.ask(f"{kind}, rounded", scene, o, direction(make.rng, len(o)), miss=5)
     for each in integer_shapes.each(make.rng, integer_shapes.ALL):
         rows = make.rng.integers(0, len(each.p), make.count(30))
@@ -140,7 +138,7 @@ def lengths(make: Maker) -> Iterator[Question]:
     ends = (1e-30, 1e30) if make.single else (1e-290, 1e290)
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(50))
+        o, d = rays_at(make, scene, make.count(50))
         yield make.ask(kind, scene, o, d * decades(make.rng, *ends, len(d))[:, None], hit=15)
 
 
@@ -149,7 +147,7 @@ def offsets(make: Maker) -> Iterator[Question]:
     for offset in (1e2, 1e5, 1e7, 1e8 if make.single else 1e15):
         for kind, shape in every_kind(make.rng, 1.0, np.full(3, offset)):
             scene = make.scene([shape])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(15))
+            o, d = rays_at(make, scene, make.count(15))
             yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if offset > 1e6 else 4)
 
 
@@ -158,7 +156,7 @@ def scales(make: Maker) -> Iterator[Question]:
     for size in (1e-30, 1e-15, 1e-5, 1e8, 1e17):
         for kind in KINDS:
             scene = make.scene([shape_of(kind, make.rng, size)])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(12), size)
+            o, d = rays_at(make, scene, make.count(12), size)
             yield make.ask(f"{kind} of size {size:g}", scene, o, d, hit=3)
 
 

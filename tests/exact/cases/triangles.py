@@ -35,7 +35,7 @@ def slivers(make: Maker) -> Iterator[Question]:
                 continue  # in float32 numbers, such a matrix has no inverse
             shape = shape_of(kind, make.rng, 1.0, stretch=[1.0, height, 1.0])
             scene = make.scene([shape])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(16), aim=Aim((4.0, 6.0)))
+            o, d = rays_at(make, scene, make.count(16), aim=Aim((4.0, 6.0)))
             yield make.ask(f"{kind} of height {height:g}", scene, o, d, hit=6)
 
 
@@ -140,7 +140,7 @@ def skinny(make: Maker) -> Iterator[Question]:
         shape = Triangle(vertices=base, to_world=[turn(make.rng), {"translate": 60.0 * make.rng.normal(size=3)}])
         scene = make.scene([shape])
         aim = Aim((50.0, 600.0), (1e-6, 2e-3), 0.6)
-        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=aim)
+        o, d = rays_at(make, scene, make.count(60), aim=aim)
         yield make.ask("skinny", scene, o, d, hit=15, miss=5)
 
 
