@@ -150,7 +150,14 @@ class FuzzRun:
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
         self.outcome.left_out = tuple(each for each in shape_types() if each not in self.drawing.types)
         for tried in self._tried(self.numbers, 1 if self.here else EXAMPLES_A_CALL, self.deadline):
-            self._record(tried)
+            if tried.tally.examples:
+                example = self.drawing.example(tried.number)
+                family = example.family.name
+                self.outcome.families.setdefault(family, Tally()).add(tried.tally)
+                for finding in tried.findings:
+                    kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
+                    if kept < self.keep:
+                        self._keep(example, finding)
             self.outcome.last_example, self.outcome.seconds = tried.number, time.monotonic() - start
             yield self.outcome
         self.outcome.interrupted = False
@@ -173,17 +180,6 @@ class FuzzRun:
                     yield Tried(batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
                 if time.monotonic() >= deadline:
                     break
-
-    def _record(self, tried: Tried) -> None:
-        if not tried.tally.examples:
-            return
-        example = self.drawing.example(tried.number)
-        family = example.family.name
-        self.outcome.families.setdefault(family, Tally()).add(tried.tally)
-        for finding in tried.findings:
-            kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
-            if kept < self.keep:
-                self._keep(example, finding)
 
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""

@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, wi
 from mitsuba_ref.error_model.scene_model import SceneModel, Side
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 from mitsuba_ref.subjects.subject import Answer
 
 ADJUDICATION_SEED = 2
@@ -179,7 +179,7 @@ class PreparedScene:
 
 
 def prepare_scene(scene: Scene, o: Array, d: Array) -> PreparedScene:
-    return PreparedScene(scene, model_of(scene, packed_float32(scene), endless_rays(o, d)), o, d)
+    return PreparedScene(scene, model_of(scene, endless_rays(o, d)), o, d)
 
 
 class ExactHits:

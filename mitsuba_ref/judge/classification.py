@@ -69,10 +69,6 @@ class Judgement:
         """(n,) bool: pixels of one of these classes."""
         return np.isin(self.classes, [CLASS_CODE[name] for name in names])
 
-    def is_right(self, row: int) -> bool:
-        """Whether the subject has the exact answer at a row that was adjudicated."""
-        return bool(self.exact.right[self.exact.rows == row].any())
-
 
 class Judge(Pixels):
     """Gives each pixel its class."""

@@ -46,7 +46,7 @@ def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row
     who, precision = subject_name(judge), judge.answer.precision
     explained = f"{who} is exactly right, and rounding in float32 allows Mitsuba's answer, too"
     unresolved = f"{who} is exactly right; float32, in which Mitsuba computes, cannot resolve this pixel"
-    if not (judge.answer.exact_visibility or judgement.is_right(row)):
+    if not (judge.answer.exact_visibility or judgement.exact.right[judgement.exact.rows == row].any()):
         explained = f"rounding in {precision} allows the candidate's answer, which is not the exact one"
         unresolved = f"{precision}, in which the candidate computes, cannot resolve this pixel"
     return explained if verdict == EXPLAINED else unresolved

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, rays_at, scene_of
 
-from caster.geometry.packing import pack
-from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
 from mitsuba_ref.error_model.scene_model import OUR_SIDE, SceneModel
 from mitsuba_ref.oracle import boxes
@@ -89,7 +87,7 @@ def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Scen
     if kind != "planes":
         scene = scene.model_copy(update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))})
     shared = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
-    return model_of(scene, pack(scene, as_float32), shared), o, d
+    return model_of(scene, shared), o, d
 
 
 @pytest.mark.parametrize("kind", KINDS)

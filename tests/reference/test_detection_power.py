@@ -14,7 +14,7 @@ from edited_tree import ROOT
 from places import shipped
 
 import caster
-from caster.geometry.packing import Packed, pack
+from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
@@ -40,8 +40,7 @@ class Asked:
         scene = shipped(name, width, height)
         self.scene: Scene = scene.model_copy(update={"shapes": [*scene.shapes, *more]})
         self.rays: SharedRays = shared_rays(self.scene)
-        self.packed: Packed = pack(self.scene, as_float32)
-        self.model: SceneModel = model_of(self.scene, self.packed, self.rays)
+        self.model: SceneModel = model_of(self.scene, self.rays)
         answer = trace_reference(self.scene, self.model, self.rays, send=send)
         assert not isinstance(answer, Crash), answer
         self.witness: ReferenceResult = answer

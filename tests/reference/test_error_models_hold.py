@@ -43,7 +43,7 @@ def observe(kind: str, setting: Setting, seed: list[int], *, shapes: int, count:
     scene = scene_of(kind, rng, setting, shapes)
     o, d = rays_at(scene, rng, setting, count)
     rays = endless_rays(o, d)
-    model = model_of(scene, packed_float32(scene), rays)
+    model = model_of(scene, rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     return compared(model, witness, o, d)
@@ -157,7 +157,7 @@ def test_a_triangle_is_unresolved_where_the_rounding_of_its_corners_turns_it_rou
     scene = scene_of("triangles", np.random.default_rng(0), Setting(), 1)
     scene = scene.model_copy(update={"shapes": (Triangle(vertices=corners),)})
     rays = endless_rays(o[None], d[None])
-    model = model_of(scene, packed_float32(scene), rays)
+    model = model_of(scene, rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     found = compared(model, witness, o[None], d[None])
@@ -177,5 +177,5 @@ def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(send):
     assert 100 <= native <= 250
     away = np.full((1, 3), 1e6, np.float32)
     nowhere = SharedRays(away, away, np.ones(1, np.float32), np.zeros(1))
-    witness = trace_reference(scene, model_of(scene, packed, nowhere), nowhere, lights=False, send=send)
+    witness = trace_reference(scene, model_of(scene, nowhere), nowhere, lights=False, send=send)
     assert not isinstance(witness, Crash), witness

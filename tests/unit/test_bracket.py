@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.intersections import Intersections, Rays, unit
 from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE, SceneModel, Side
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.hard.rays import endless
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = -UP
@@ -32,7 +32,7 @@ RIGHT, LEFT = Triangle(name="right", vertices=(A, B, C)), Triangle(name="left", 
 
 def modelled(shapes: list[Any], o: Any, d: Any) -> SceneModel:
     scene = scene_of(*shapes)
-    return model_of(scene, packed_float32(scene), endless_rays(np.atleast_2d(o), np.atleast_2d(d)))
+    return model_of(scene, endless_rays(np.atleast_2d(o), np.atleast_2d(d)))
 
 
 def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket:

@@ -6,7 +6,7 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 
 from mitsuba_ref.error_model.intersections import norm, unit
 from mitsuba_ref.error_model.scene_model import OUR_SIDE, SceneModel, UncertainRaysModel
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them
 SETTINGS = (Setting(), Setting(distances=(0.5, 3.0)), Setting(slopes=(1e-4, 1e-2)), Setting(edges=1.0))
@@ -24,7 +24,7 @@ def cases(kind: str, seed: int) -> tuple[SceneModel, np.ndarray, np.ndarray, np.
     rng = np.random.default_rng([120, seed])
     scene = scene_of(kind, rng, SETTINGS[seed], 1 if kind == "meshes" else 40)
     o, d = rays_at(scene, rng, SETTINGS[seed], 600)
-    model = model_of(scene, packed_float32(scene), endless_rays(o, d))
+    model = model_of(scene, endless_rays(o, d))
     near = rng.integers(0, len(model.boxes[0]), (8, len(o)))
     ray, prim = np.tile(np.arange(len(o)), 8), near.ravel()
     return model, prim, o[ray], d[ray]

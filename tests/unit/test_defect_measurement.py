@@ -12,7 +12,7 @@ from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE
 from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.defect_lookup import defect_features
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 
 CORNERS = ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 SHAPES = (
@@ -26,8 +26,9 @@ BALL, LID = 1, 2
 def measured(o, d, *, t=None, prim=-1, shape=None, n=None, off=0.0):
     """Features of one ray and the reference's claim about it: the primitive's own values, t off by so many bounds."""
     scene = scene_of(*SHAPES)
-    rays, packed = endless_rays(np.array([o]), np.array([d])), packed_float32(scene)
-    model, oracle = model_of(scene, packed, rays), Oracle(packed)
+    rays = endless_rays(np.array([o]), np.array([d]))
+    model = model_of(scene, rays)
+    oracle = Oracle(model.packed)
     o, d = rays.o.astype(float), rays.d.astype(float)
     answers = oracle.first_hits(o, d)
     claims = Claims(np.array([np.inf]), np.array([CLAIMED_MISS]), *np.zeros((3, 1, 3)))

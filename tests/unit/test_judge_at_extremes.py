@@ -22,7 +22,7 @@ from mitsuba_ref.judge.checks.render import CHECKED_AOVS, _within_float64, check
 from mitsuba_ref.judge.checks.shapes import check_geometry
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of
 from mitsuba_ref.shapes import disk, surface_errors
 from mitsuba_ref.subjects.subject import cast_ours
 
@@ -90,7 +90,7 @@ def modelled(shape: Any, o: np.ndarray, d: np.ndarray) -> tuple[Scene, SharedRay
     """The judge's view of one shape and some rays (n, 3), in float32."""
     rays = endless_rays(np.atleast_2d(o), np.atleast_2d(d))
     scene = scene_of(shape, film={"width": len(rays.o), "height": 1})
-    return scene, rays, model_of(scene, packed_float32(scene), rays)
+    return scene, rays, model_of(scene, rays)
 
 
 def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():

@@ -27,7 +27,7 @@ from caster.scene.model import Scene
 from mitsuba_ref import error_model, oracle, shapes
 from mitsuba_ref.error_model.scene_model import Side
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 from mitsuba_ref.shapes import reference_of
 
 FILE = Path(__file__).with_name("stated_numbers.json")
@@ -94,7 +94,7 @@ def bounds(shape: Any) -> dict[str, list[float]]:
     """t, error bounds and verdicts of the intersections of some rays, for each rounding."""
     scene = scene_of(shape)
     none = np.zeros((1, 3))
-    model = model_of(scene, packed_float32(scene), endless_rays(none, none + 1))
+    model = model_of(scene, endless_rays(none, none + 1))
     low, high = (np.clip(corner, -5.0, 40.0) for corner in float_box(model.kinds[0]))
     o = np.repeat(np.array(ORIGINS) + low, len(TARGETS), axis=0).astype(np.float32).astype(float)
     d = np.tile(low + np.array(TARGETS) * (high - low), (len(ORIGINS), 1)) - o

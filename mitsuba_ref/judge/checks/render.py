@@ -92,7 +92,7 @@ def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     rays = Rays(*rays[:4]).take(rows)
     depth, n, sh_n, p, uv, shape, diffuse, prim, albedo = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
-    model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
+    model = model_of(scene, SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))), packed(scene))
     bracket = Bracket(model, OUR_SIDE)
     claims = Claims(t, shape, n, sh_n, p, KU_OURS * t, uv=uv)
     found = bracket.judge(rays, claims)

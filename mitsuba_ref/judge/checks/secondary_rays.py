@@ -25,7 +25,7 @@ from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, WRONG, Departu
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest
 from mitsuba_ref.reference.rendering import trace_reference
-from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model, packed_float32
+from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model
 from mitsuba_ref.subjects.subject import NoAnswer
 
 # ---- the laws
@@ -223,7 +223,7 @@ def reference_rays(leaving: LeavingRays, send: SendRequest, timeout: float = DEF
     rays, scene = leaving.rays, leaving.scene
     listed = SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(rays.o)), rays.t_min)
     parents = listed.for_reference()
-    model = model_of(scene, packed_float32(scene), parents)
+    model = model_of(scene, parents)
     found = trace_reference(scene, model, parents, lights=False, timeout=timeout, send=send, leaving=rays.w)
     if isinstance(found, Crash):
         raise NoAnswer(found.message)
