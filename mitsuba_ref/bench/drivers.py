@@ -139,11 +139,11 @@ class Candidate(Driver):
 
     def build(self, size: int) -> None:
         """Prepare the scene in float32 numbers, and cast one ray."""
-        from mitsuba_ref.reference.shared_input import model_of, packed_float32
+        from mitsuba_ref.reference.shared_input import model_of
         from mitsuba_ref.subjects.subject import CastRequest
 
         scene, one = self.scene_of_size(size), self.prepare(*FIRST_RAY)
-        model = model_of(scene, packed_float32(scene), one)
+        model = model_of(scene, one)
         self.request = CastRequest(scene, model, one, Path(self.work.folder) / f"candidate-{size}")
         self.trace(one)
 

@@ -21,6 +21,7 @@ from mitsuba_ref.bench.drivers import AOVS, DEFAULT, RAYS_FILE, ROBUST, SCENE_FI
 from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.error_model.scene_model import Side
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
@@ -71,7 +72,7 @@ def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
 def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False) -> Score:
     """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
     answer = Answer(t, None, precision, {})
-    ratio, hits = exact.ratios(answer, ours=not reference), answer.hit & exact.hit
+    ratio, hits = exact.ratios(answer, Side(answer.ku, own=not reference)), answer.hit & exact.hit
     spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
     return Score(
         rays=len(t),
@@ -171,7 +172,7 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], size: int, alt
                 report_stage("exact answers")
                 count = len(ready.o)
                 rows = np.sort(np.random.default_rng(7).choice(count, min(EXACT_RAYS, count), replace=False))
-                exact = ExactHits(ready, ready.o[rows], ready.d[rows])
+                exact = ExactHits(ready.model, ready.o[rows], ready.d[rows])
                 for run in runs:
                     run.go(CasterRun.measure_errors, exact, rows)
         finally:
@@ -180,4 +181,5 @@ def time_scene(scene: BenchScene, casters: Sequence[TimedCaster], size: int, alt
                     run.process.close()
     found = tuple(run.result() for run in runs)
     elapsed = time.perf_counter() - begun
-    return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, found, elapsed, scene.aovs)
+    primitives = int(ready.model.packed.first[-1])
+    return SceneResult(scene.name, scene.title, scene.workload, primitives, found, elapsed, scene.aovs)

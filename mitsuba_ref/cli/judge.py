@@ -15,8 +15,9 @@ from caster.system.process import DIFFERENCES, OK
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import NothingSelected, given_words, load_scene_or_original, refuse, table_stream
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
-from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.error_model.intersections import Array, Rays
 from mitsuba_ref.hard import rays
+from mitsuba_ref.judge.adjudication import prims_and_t
 from mitsuba_ref.judge.checks.secondary_rays import LeavingRays, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
@@ -76,8 +77,8 @@ def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
     return OK
 
 
-def batch_of(rows: Array) -> rays.RayBatch:
-    return rays.RayBatch(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7])
+def batch_of(rows: Array) -> Rays:
+    return Rays(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7])
 
 
 def camera_rows(scene: Scene) -> tuple[Array, Array]:
@@ -159,7 +160,5 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
     lines = batch_of(parents[used])
-    answers = Oracle(packed).first_hits(*lines)
-    prim = np.array([answer.prim for answer in answers], np.int64)
-    t = np.array([answer.distance for answer in answers])
-    return leaving_rays(scene, packed, lines.taken(of), prim[of], t[of], rows[:, 3:6], rows[:, :3])
+    prim, t = prims_and_t(Oracle(packed).first_hits(*lines))
+    return leaving_rays(scene, packed, lines.take(of), prim[of], t[of], rows[:, 3:6], rows[:, :3])

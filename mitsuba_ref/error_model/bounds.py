@@ -10,22 +10,16 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
-from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, PairIntersections, SceneModel, Side
 
 
-def intersections_at(
-    model: SceneModel, prim: Array, o: Array, d: Array, t: Array, ku: float, *, ours: bool
-) -> Intersections:
-    """The intersection of ray i with prim[i], -1 for a miss, nearest to t[i], with the error bounds of one arithmetic.
-
-    o, d: (n, 3). ku, ours: as in SceneModel.intersect.
-    """
+def intersections_at(model: SceneModel, prim: Array, o: Array, d: Array, t: Array, side: Side) -> Intersections:
+    """The intersection of ray i (n, 3) with prim[i], -1: a miss, nearest to t[i], with the error bounds of one side."""
     out = no_intersections(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), PIXELS_PER_BATCH):
         rows = hits[start : start + PIXELS_PER_BATCH]
-        found = nearest_root(model.intersect(prim[rows], o[rows], d[rows], ku, ours=ours), t[rows])
+        found = nearest_root(model.intersect(prim[rows], o[rows], d[rows], side), t[rows])
         for everywhere, here in zip(out, found, strict=True):
             everywhere[rows] = here
     return out
@@ -93,7 +87,7 @@ def t_bounds(model: SceneModel, hits: tuple[Array, Array], rays: tuple[Array, Ar
     (t, prim), (o, d) = hits, rays
     exponent = np.frexp(np.abs(d).max(axis=1, initial=0.0))[1]  # so that no square of a direction overflows
     d = np.ldexp(d, -exponent[:, None])
-    errors = intersections_at(model, prim, o, d, np.ldexp(t, exponent), KU_OURS, ours=True).t_error
+    errors = intersections_at(model, prim, o, d, np.ldexp(t, exponent), OUR_SIDE).t_error
     errors = np.where(np.isnan(errors), np.inf, np.ldexp(errors, -exponent))
     bounds = errors + T_ROUNDING_ULPS * np.spacing(np.abs(t)) + UNDERFLOW_BOUND
     return np.where(prim < 0, np.nan, bounds)

@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
+from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, Side
 
 # docs/method.md, "Visibility". A primitive is possible if some numbers within the error bounds hit it, and certain if
 # all of them do. The nearest hit is on a possible primitive, and no later than the latest t of any certain one.
@@ -63,24 +63,17 @@ class RayIntersections(NamedTuple):
 
 
 class Bracket:
-    """Tests claims about rays through one scene. ku, ours: as in SceneModel.intersect; closed: as in latest_hits."""
+    """Tests claims of one side about rays through one scene. closed: as in latest_hits."""
 
-    def __init__(self, model: SceneModel, ku: float, *, ours: bool, closed: bool = True):
-        self.model, self.ku, self.ours, self.closed = model, ku, ours, closed
+    def __init__(self, model: SceneModel, side: Side, *, closed: bool = True):
+        self.model, self.side, self.closed = model, side, closed
 
-    def judge(
-        self, o: Array, d: Array, t_max: Array, claims: Claims, *, t_min: float | Array = 0.0, also: Array | None = None
-    ) -> BracketResult:
-        """Whether rounding allows each claim.
-
-        o, d: (n, 3) float64. t_max: (n,); a hit has t_min < t <= t_max. also: (n,) a primitive to consider even if the
-        ray misses its box; -1: none.
-        """
-        line = Rays(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
-        latest = np.full(len(o), np.inf)
-        fits, untestable = np.zeros((2, len(o)), bool)
+    def judge(self, line: Rays, claims: Claims, *, also: Array | None = None) -> BracketResult:
+        """Whether rounding allows each claim. also: (n,) a primitive to try though the ray misses its box; -1: none."""
+        latest = np.full(len(line.o), np.inf)
+        fits, untestable = np.zeros((2, len(line.o)), bool)
         for found in self._batches(line, also):
-            np.minimum.at(latest, found.ray, latest_hits(found, line.t_max, line.t_min, closed=self.closed))
+            np.minimum.at(latest, found.ray, latest_hits(found, line, closed=self.closed))
             named, matches = self._fits(found, claims, line, latest[found.ray])
             fits[found.ray[matches]] = True
             untestable[found.ray[named & ~np.isfinite(found.at.t_error)]] = True
@@ -88,7 +81,7 @@ class Bracket:
 
     def _batches(self, line: Rays, also: Array | None = None) -> Iterator[RayIntersections]:
         """Possible intersections of the rays, all of a ray in one batch. also: as in `judge`."""
-        near = self.model.near_pairs(line.o, line.d, ours=self.ours or also is not None)
+        near = self.model.near_pairs(line.o, line.d, blurred=not self.side.own and also is None)
         if also is not None:
             named = np.flatnonzero(also >= 0)
             near = iter([np.unique(np.hstack([*near, np.stack([named, also[named]])]), axis=1)])
@@ -109,19 +102,18 @@ class Bracket:
             kept = ~(near & (found.prim == prim[found.ray]))
             found, near = found.take(kept), near[kept]
             possible[found.ray] = True
-            certain[found.ray[np.isfinite(latest_hits(found, line.t_max, line.t_min)) & ~near]] = True
+            certain[found.ray[np.isfinite(latest_hits(found, line)) & ~near]] = True
         return possible, certain
 
-    def possible_hits(self, o: Array, d: Array, t_max: Array, t_min: float | Array = 0.0) -> RayIntersections:
+    def possible_hits(self, line: Rays) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
-        line = Rays(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         none = RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
         ray, prim, at = zip(none, *self._batches(line), strict=True)
         return RayIntersections(np.concatenate(ray), np.concatenate(prim), joined(at))
 
     @without_overflow_warnings
     def _intersect_in_range(self, ray: Array, prim: Array, line: Rays) -> RayIntersections:
-        met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
+        met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.side)
         rays = ray[met.pair]
         error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
         in_range = ~(met.at.t + error < line.t_min[rays]) & ~(met.at.t - error > line.t_max[rays])
@@ -150,7 +142,7 @@ class Bracket:
         matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(claims.p, ray, p, at.p_error)
         if len(claims.uv):
             rows = np.flatnonzero(matches)
-            uv = self.model.uv_points(found.prim[rows], claims.uv[ray[rows]], ours=self.ours)
+            uv = self.model.uv_points(found.prim[rows], claims.uv[ray[rows]], self.side)
             matches[rows] = within_error(uv, np.arange(len(rows)), at.uv[rows], at.uv_error[rows])
         return named, matches
 
@@ -163,14 +155,13 @@ def within_error(claimed: Array, ray: Array, at: Array, error: Array) -> Array:
 
 
 @without_overflow_warnings
-def latest_hits(found: RayIntersections, t_max: Array, t_min: Array | None = None, *, closed: bool = True) -> Array:
+def latest_hits(found: RayIntersections, line: Rays, *, closed: bool = True) -> Array:
     """(m,) largest t that rounding allows for a certain hit; inf if the hit is not certain or not in range.
 
-    t_min, t_max: (n,) limits of the rays; t_min is 0 if not given. closed: no ray passes between two faces.
+    closed: no ray passes between two faces.
     """
-    at = found.at
-    earliest = 0.0 if t_min is None else t_min[found.ray]
-    in_range = (at.t - at.t_error > earliest) & (at.t + at.t_error <= t_max[found.ray])
+    at, ray = found.at, found.ray
+    in_range = (at.t - at.t_error > line.t_min[ray]) & (at.t + at.t_error <= line.t_max[ray])
     latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found) if closed else np.inf)
     return np.where(in_range, latest, np.inf)
 

@@ -62,10 +62,6 @@ class DefectFeatures:
     robust: bool = True  # Embree's mode; without it, `nearly` allows a miss between two faces
     starts_inside: bool = False  # of either
 
-    @property
-    def kinds(self) -> frozenset[str]:
-        return frozenset({self.ours, self.theirs} - {""})
-
 
 class KnownDefect(NamedTuple):
     """One way in which the reference is known to be wrong about a kind of primitive."""
@@ -76,12 +72,6 @@ class KnownDefect(NamedTuple):
     condition: Callable[[DefectFeatures], bool]
     # whether the kind is hit exactly and another or none is named by the reference, or is named, or is hit or named
     subject: Literal["missed", "named", "either"] = "either"
-
-    def applies(self, kind: str, features: DefectFeatures) -> bool:
-        """Whether this defect, declared by `kind`, explains the pixel."""
-        ours, theirs = {features.ours}, {features.theirs}
-        kinds = {"missed": ours - theirs, "named": theirs, "either": features.kinds}[self.subject]
-        return kind in kinds and self.condition(features)
 
 
 def starts_on_surface(m: DefectFeatures) -> bool:

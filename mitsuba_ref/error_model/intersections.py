@@ -21,9 +21,13 @@ class Rays(NamedTuple):
     """n rays o + t d, t_min < t <= t_max."""
 
     o: Array  # (n, 3) float64
-    d: Array  # (n, 3)
+    d: Array  # (n, 3) of any length
     t_min: Array  # (n,)
     t_max: Array  # (n,) negative: no ray
+
+    def take(self, rows: Array | list[int] | slice) -> "Rays":
+        """Some of them, by index, mask or slice."""
+        return Rays(*(a[rows] for a in self))
 
 
 class Intersections(NamedTuple):

@@ -24,8 +24,18 @@ from mitsuba_ref.error_model.intersections import (
     unit,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.oracle.boxes import MAX_RAY_BOX_PAIRS, BoxTree
+
+
+class Side(NamedTuple):
+    """The arithmetic and the primitives of one side of a comparison."""
+
+    ku: float  # K times the unit round-off of its arithmetic
+    own: bool = True  # the scene's own primitives, not the reference's stand-ins
+
+
+REFERENCE_SIDE, OUR_SIDE = Side(KU, own=False), Side(KU_OURS)
 
 
 class PairIntersections(NamedTuple):
@@ -52,23 +62,20 @@ class SceneModel:
     kinds: tuple[Any, ...]  # the same, joined by kind
     models: tuple[ErrorModel, ...]  # one for each kind
 
-    def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
-        """Intersections of primitive prim[i] (m,) with the ray o[i], d[i] (m, 3), with error bounds.
-
-        ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
-        """
+    def intersect(self, prim: Array, o: Array, d: Array, side: Side) -> PairIntersections:
+        """Intersections of primitive prim[i] (m,) with the ray o[i], d[i] (m, 3), with error bounds."""
         found = []
         for rows, model, arrays, k in self._by_kind(prim):
-            intersect = (ours and model.intersect_ours) or model.intersect
-            for at in intersect(arrays, k, o[rows], d[rows], ku):
-                if not (ours or model.uv.reference):
+            intersect = (side.own and model.intersect_ours) or model.intersect
+            for at in intersect(arrays, k, o[rows], d[rows], side.ku):
+                if not (side.own or model.uv.reference):
                     at = at._replace(uv=np.zeros_like(at.uv), uv_error=np.zeros_like(at.t))
                 found.append(PairIntersections(rows, at))
         pair, at = joined_pairs(found)
         flipped = self.packed.flipped
         if flipped is not None:
-            side = np.where(flipped[self.packed.shape_of(prim[pair])], -1.0, 1.0)[:, None]
-            at = at._replace(n=side * at.n, sh_n=side * at.sh_n)
+            facing = np.where(flipped[self.packed.shape_of(prim[pair])], -1.0, 1.0)[:, None]
+            at = at._replace(n=facing * at.n, sh_n=facing * at.sh_n)
         return PairIntersections(pair, at)
 
     def _by_kind(self, prim: Array) -> Iterator[tuple[Array, ErrorModel, Any, Array]]:
@@ -79,14 +86,14 @@ class SceneModel:
             if len(rows):
                 yield rows, model, self.kinds[place], k[rows]
 
-    def uv_points(self, prim: Array, uv: Array, *, ours: bool) -> Array:
-        """(n, 3) points that uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.
+    def uv_points(self, prim: Array, uv: Array, side: Side) -> Array:
+        """(n, 3) points that one side's uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.
 
-        ours: uv of the subject, not of the reference. 0 where prim is -1, or where the reference traces a stand-in.
+        0 where prim is -1, or where the reference traces a stand-in.
         """
         points, hits = np.zeros((len(prim), 3)), np.flatnonzero(prim >= 0)
         for rows, model, arrays, k in self._by_kind(prim[hits]):
-            space = model.uv.subject if ours else model.uv.reference
+            space = model.uv.subject if side.own else model.uv.reference
             if space:
                 points[hits[rows]] = space(arrays, k, uv[hits[rows]].astype(np.float64))
         return points
@@ -109,18 +116,18 @@ class SceneModel:
         """Boxes of all primitives, shared by all brackets of the model."""
         return BoxTree(*self.boxes, BOX_MARGIN)
 
-    def near_pairs(self, o: Array, d: Array, *, ours: bool) -> Iterator[Array]:
+    def near_pairs(self, o: Array, d: Array, *, blurred: bool) -> Iterator[Array]:
         """(2, m) pairs of a ray o + t d (n, 3) and a primitive that it may hit, in batches; those of a ray in one.
 
-        ours: without those that rounding by the reference may let it hit, though it passes their boxes by far.
+        blurred: also those that rounding by the reference may let it hit, though it passes their boxes by far.
         """
-        blurred = 0 if ours else len(self.blurred[0])
+        further = len(self.blurred[0]) if blurred else 0
         for batch, ray, prim, _ in self.nearby.crossings(o, d):
             pairs = np.stack([ray, prim])
-            if not blurred:
+            if not further:
                 yield pairs
                 continue
-            at_once = max(1, MAX_RAY_BOX_PAIRS // blurred)
+            at_once = max(1, MAX_RAY_BOX_PAIRS // further)
             for first in range(batch.start, batch.stop, at_once):
                 some = slice(first, min(first + at_once, batch.stop))
                 mine = pairs[:, (ray >= some.start) & (ray < some.stop)]
@@ -172,16 +179,17 @@ class InstancedModel(SceneModel):
 
     condition: Array  # (shapes,) of the matrix of each instance, a power of two; 0: no instance
 
-    def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
+    def intersect(self, prim: Array, o: Array, d: Array, side: Side) -> PairIntersections:
         """As SceneModel.intersect, with the errors of instances."""
-        if ours:
-            return super().intersect(prim, o, d, ku, ours=ours)
+        if side.own:
+            return super().intersect(prim, o, d, side)
         condition, found = self.condition[self.packed.shape_of(prim)], []
         for each in np.unique(condition):
             rows = np.flatnonzero(condition == each)
-            pair, at = super().intersect(prim[rows], o[rows], d[rows], ku * (1.0 + each), ours=False)
+            widened = side._replace(ku=side.ku * (1.0 + each))
+            pair, at = super().intersect(prim[rows], o[rows], d[rows], widened)
             if each:
-                turned = self._turned_normals(prim[rows[pair]], ku)
+                turned = self._turned_normals(prim[rows[pair]], side.ku)
                 at = at._replace(n_error=at.n_error + turned, sh_error=at.sh_error + turned)
             found.append(PairIntersections(rows[pair], at))
         return joined_pairs(found)
@@ -223,15 +231,15 @@ class UncertainRaysModel(SceneModel):
     as_described: SceneModel | None = None  # the primitives in float64, if they differ
     refined: bool = False  # by more rays, for the few disputed pixels
 
-    def intersect(self, prim: Array, o: Array, d: Array, ku: float, *, ours: bool) -> PairIntersections:
+    def intersect(self, prim: Array, o: Array, d: Array, side: Side) -> PairIntersections:
         """As SceneModel.intersect, widened to enclose the intersections of neighbouring rays."""
         turn = (self.turn * norm(d))[:, None]
         rays = [(o, d), *((o + self.shift * across, d + turn * across) for across in self._around(d))]
         met = []
         for ray in rays:
-            met.append(super().intersect(prim, *ray, ku, ours=ours))
+            met.append(super().intersect(prim, *ray, side))
             if self.as_described:
-                met.append(self.as_described.intersect(prim, *ray, ku, ours=ours))
+                met.append(self.as_described.intersect(prim, *ray, side))
         pair = met[0].pair
         # A shift along the ray moves no point, but changes t.
         return PairIntersections(pair, enclosing_intersections([each.at for each in met], self.shift / norm(d)[pair]))

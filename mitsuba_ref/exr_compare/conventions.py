@@ -19,7 +19,7 @@ from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import NEARLY_ALL
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, scene_in, stacked, view_of
-from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, shared_rays
+from mitsuba_ref.reference.shared_input import clip_range, model_of, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer
 
 DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"
@@ -234,7 +234,7 @@ def distances(depth: Array, reading: Reading, scenes: Sequence[Scene | None]) ->
         exported = scene is reading.scene and hasattr(scene.camera, "near")
         start = rays.t_min.reshape(depth.shape)
         if exported:  # Mitsuba's sensors have a near plane, and its depth counts from there
-            model = model_of(scene, packed_float32(scene), shared_rays(scene))
+            model = model_of(scene, shared_rays(scene))
             start = float(clip_planes(scene.camera, clip_range(scene, model))["near_clip"]) / cosine
         found |= {FROM_NEAR: depth + start} if (start > 0.0).any() else {}
     return found

@@ -19,13 +19,13 @@ from caster.description.errors import SceneError
 from caster.scene.export import format_toml
 from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder, write_text
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding
-from mitsuba_ref.hard.rays import RayBatch
 
 Case = dict[str, Any]  # a scene as a scene file gives it; with "limits", t_min and t_max of its camera's one ray
 
 
-def case_of(data: dict[str, Any], ray: RayBatch | None = None) -> Case:
+def case_of(data: dict[str, Any], ray: Rays | None = None) -> Case:
     """A case of its own, of the scene's image or of one ray."""
     case = copy.deepcopy(data)
     if ray is not None:
@@ -35,12 +35,12 @@ def case_of(data: dict[str, Any], ray: RayBatch | None = None) -> Case:
     return case
 
 
-def ray_of(case: Case) -> RayBatch | None:
+def ray_of(case: Case) -> Rays | None:
     """The single ray; None where a case has the rays of its camera."""
     if "limits" not in case:
         return None
     ray = case["camera"]["origin"], case["camera"]["direction"], *case["limits"]
-    return RayBatch(*(np.array([values], np.float64) for values in ray))
+    return Rays(*(np.array([values], np.float64) for values in ray))
 
 
 def scene_data(case: Case) -> dict[str, Any]:

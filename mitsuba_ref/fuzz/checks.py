@@ -11,30 +11,29 @@ from pydantic import ValidationError
 
 from caster import cast
 from caster.description.errors import SceneError
-from caster.geometry.packing import Packed
+from caster.geometry.packing import Packed, packed
 from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import UNIT_LENGTH_ATOL
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz.cases import Case, ray_of, scene_data
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Finding, Tally
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_parts import random_shape, shape_types
-from mitsuba_ref.hard.rays import Frame, RayBatch
+from mitsuba_ref.hard.rays import Frame, endless
 from mitsuba_ref.hard.swept_families import NO_VIEW
 from mitsuba_ref.judge import checks as registry
 from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.checks.knife_edges import (
     NearestHits,
-    PreparedScene,
     cast_by_culling,
     concatenated,
     nearest_hits,
-    prepared_scene,
     t_text,
     with_limits,
 )
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, Failure, SceneVerdict
-from mitsuba_ref.oracle.oracle import OutsideDomain
+from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import SharedRays, packed_float32
 from mitsuba_ref.report.validation import validate_scene
@@ -52,7 +51,7 @@ def find(
     kind: str = "",
     tally: Tally | None = None,
     subject: Subject = OURS,
-    aim: Callable[[Packed], RayBatch] | None = None,
+    aim: Callable[[Packed], Rays] | None = None,
 ) -> list[Finding]:
     """Findings about a case; none where it is no valid scene.
 
@@ -63,8 +62,10 @@ def find(
         scene = scene_of(scene_data(case))
         if kind in JUDGED_KINDS or subject is not OURS:
             return compare_with_mitsuba(scene, tally, subject, aim and aim(packed_float32(scene)))
-        prepared, ray = prepared_scene(scene), ray_of(case)
-        return check_rays(prepared, ray, tally) if ray else check_image(prepared, tally, kind in ("", "check"))
+        oracle, ray = Oracle(packed(scene)), ray_of(case)
+        if ray:
+            return check_rays(scene, oracle, ray, tally)
+        return check_image(scene, oracle, tally, kind in ("", "check"))
     except SCENE_ERRORS:
         return []
     except Exception as error:
@@ -80,20 +81,20 @@ def exception_finding(error: Exception) -> Finding:
 # ---- ours, without Mitsuba
 
 
-def check_rays(prepared: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | None = None) -> list[Finding]:
+def check_rays(scene: Scene, oracle: Oracle, rays: Rays, tally: Tally, rng: Rng | None = None) -> list[Finding]:
     """Findings about these rays; with a generator, some are cast again with other limits."""
     if rng is not None:
-        rays = concatenated(rays, with_limits(rng, rays, cast_by_culling(prepared.packed, rays, "bvh")))
-    hits = cast(prepared.scene, rays.o, rays.d, t_min=rays.t_min, t_max=rays.t_max)
-    ours = nearest_hits(prepared.packed, hits.t, hits.shape_id, hits.prim_id)
-    slow, findings = cast_by_culling(prepared.packed, rays, "brute-force"), list[Finding]()
-    for i in np.flatnonzero(registry.bits_differ(ours.t, slow.t) | (ours.prim != slow.prim)):
+        rays = concatenated(rays, with_limits(rng, rays, cast_by_culling(oracle.packed, rays, "bvh")))
+    hits = cast(scene, rays.o, rays.d, t_min=rays.t_min, t_max=rays.t_max)
+    ours = nearest_hits(oracle.packed, hits.t, hits.shape_id, hits.prim_id)
+    slow, findings = cast_by_culling(oracle.packed, rays, "brute-force"), list[Finding]()
+    for i in np.flatnonzero(registry.bits_differ(ours.t, slow.t) | (ours.prim != slow.prim)).tolist():
         one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, slow))
-        findings.append(Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.row(int(i))))
-    return [*findings, *check_surfaces(hits, rays), *adjudicate(prepared, rays, ours, tally)]
+        findings.append(Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.take([i])))
+    return [*findings, *check_surfaces(hits, rays), *adjudicate(oracle, rays, ours, tally)]
 
 
-def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
+def check_surfaces(hits: Any, rays: Rays) -> Iterator[Finding]:
     """Findings about hits: positions and normals are finite, geometric normals of length 1, shading ones of 1 or 0."""
     p, n, sh_n, _ = hits.surfaces.values()
     length, shading = (np.sqrt((v * v).sum(axis=1)) for v in (n, sh_n))
@@ -102,15 +103,15 @@ def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
     with np.errstate(over="ignore", invalid="ignore"):
         beyond = np.isinf(hits.t * np.abs(rays.d).max(axis=1))  # a position that float64 cannot represent
     fine = (np.isfinite(p).all(axis=1) | beyond) & unit & shaded
-    for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
+    for i in np.flatnonzero((hits.shape_id >= 0) & ~fine).tolist():
         what = f"p {p[i].tolist()}, n {n[i].tolist()}, sh_n {sh_n[i].tolist()}"
-        yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.row(int(i)))
+        yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.take([i]))
 
 
-def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tally: Tally) -> list[Finding]:
+def adjudicate(oracle: Oracle, rays: Rays, found: NearestHits, tally: Tally) -> list[Finding]:
     """Findings about hits, against the exact answers."""
     try:
-        verdicts = knife_edges.adjudicate(prepared, rays, found)
+        verdicts = knife_edges.adjudicate(oracle, rays, found)
     except OutsideDomain:
         tally.outside += len(rays.t_min)
         return []
@@ -120,23 +121,22 @@ def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tall
     tally.edges += sum(answer.where != "inside" for answer in hits)
     tally.ties += sum(len(answer.ties) > 1 for answer in hits)
     tally.unbounded += sum(isinf(each.bound) for each in verdicts)
-    return [Finding(each.kind, each.text, rays.row(i)) for i, each in enumerate(verdicts) if each.kind]
+    return [Finding(each.kind, each.text, rays.take([i])) for i, each in enumerate(verdicts) if each.kind]
 
 
-def check_image(prepared: PreparedScene, tally: Tally, thorough: bool = True) -> list[Finding]:
+def check_image(scene: Scene, oracle: Oracle, tally: Tally, thorough: bool = True) -> list[Finding]:
     """Findings about the scene's image, by `render` and the thorough checks, and about its camera's rays.
 
     thorough: whether to make those as well; without the compiler they take ten times as long as all else.
     """
-    scene = prepared.scene
     checks = registry.checks_of(registry.OURS, thorough=thorough)
     chosen = [each for each in checks if each.thorough or each.name == "render"]
     failing = [each for each in registry.make_checks(chosen, {"scene": scene}) if not each.ok]
     film = camera_rays(scene, threads=1)
-    rays = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(np.flatnonzero(film.t_max > 0.0))
+    rays = Rays(*film.take(film.t_max > 0.0))
     return [
         *(Finding("check", f"{each.name}: {each.what}", detail=each.name) for each in failing),
-        *check_rays(prepared, rays, tally),
+        *check_rays(scene, oracle, rays, tally),
     ]
 
 
@@ -144,7 +144,7 @@ def check_image(prepared: PreparedScene, tally: Tally, thorough: bool = True) ->
 
 
 def compare_with_mitsuba(
-    scene: Scene, tally: Tally, subject: Subject = OURS, rays: RayBatch | None = None
+    scene: Scene, tally: Tally, subject: Subject = OURS, rays: Rays | None = None
 ) -> list[Finding]:
     """Findings of the judge about a scene. Vacuous scenes pass: images of a few pixels may hit nothing.
 
@@ -185,7 +185,7 @@ def _finding_of(failure: Failure, verdict: SceneVerdict, scene: Scene, rays: Sha
     ray = None
     if rays is not None:
         at = [failure.y * scene.film.width + failure.x]
-        ray = RayBatch(rays.o[at], rays.d[at], np.zeros(1), np.full(1, np.inf))
+        ray = endless(rays.o[at], rays.d[at])
     lines = (
         f"{failure.reason}; {failure.check} {failure.ratio:.3g} times its bound",
         f"{'candidate:' if verdict.candidate else 'ours:':<10} {failure.subject}",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pydantic.dataclasses
 from pydantic import computed_field
 
-from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.report.results import aligned
 
 # The kinds of findings, the most informative first.
@@ -33,7 +33,7 @@ class Finding:
 
     kind: str
     what: str  # ours and the exact answer, in words
-    ray: RayBatch | None = None  # one row
+    ray: Rays | None = None  # one row
     detail: str = ""  # the check that fails, or in which way a pixel does
 
     @property

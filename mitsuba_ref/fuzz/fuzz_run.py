@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.geometry.packing import Packed
+from caster.geometry.packing import Packed, packed
 from caster.system.cluster import CallEnded
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz.cases import case_of, write_kept
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answered_types, check_image, check_rays, exception_finding, find
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, JUDGED_KINDS, Failure, Finding, Outcome, Tally
@@ -23,8 +24,7 @@ from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Shrinker
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.family import Family, HardScene
 from mitsuba_ref.hard.random_parts import shape_types
-from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.checks.knife_edges import prepared_scene
+from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.runner.engine import LOCAL, outcomes_of
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
@@ -60,7 +60,7 @@ class Example:
         """Random numbers of the example, independent for each stream."""
         return np.random.default_rng([self.seed, self.number, zlib.crc32(self.family.name.encode()), stream])
 
-    def rays(self, packed: Packed, count: int = RAYS_PER_EXAMPLE) -> RayBatch:
+    def rays(self, packed: Packed, count: int = RAYS_PER_EXAMPLE) -> Rays:
         return self.made.aim(self.random(AIM_STREAM), packed, count)
 
 
@@ -150,7 +150,14 @@ class FuzzRun:
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
         self.outcome.left_out = tuple(each for each in shape_types() if each not in self.drawing.types)
         for tried in self._tried(self.numbers, 1 if self.here else EXAMPLES_A_CALL, self.deadline):
-            self._record(tried)
+            if tried.tally.examples:
+                example = self.drawing.example(tried.number)
+                family = example.family.name
+                self.outcome.families.setdefault(family, Tally()).add(tried.tally)
+                for finding in tried.findings:
+                    kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
+                    if kept < self.keep:
+                        self._keep(example, finding)
             self.outcome.last_example, self.outcome.seconds = tried.number, time.monotonic() - start
             yield self.outcome
         self.outcome.interrupted = False
@@ -174,17 +181,6 @@ class FuzzRun:
                 if time.monotonic() >= deadline:
                     break
 
-    def _record(self, tried: Tried) -> None:
-        if not tried.tally.examples:
-            return
-        example = self.drawing.example(tried.number)
-        family = example.family.name
-        self.outcome.families.setdefault(family, Tally()).add(tried.tally)
-        for finding in tried.findings:
-            kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
-            if kept < self.keep:
-                self._keep(example, finding)
-
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""
         attempts = MITSUBA_SHRINK_ATTEMPTS if finding.kind in JUDGED_KINDS else SHRINK_ATTEMPTS
@@ -207,18 +203,19 @@ class FuzzRun:
 def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:
     """Findings about an example's rays and image. A scene outside the oracle's domain is counted as such."""
     try:
-        prepared = prepared_scene(tried.made.scene())
+        scene = tried.made.scene()
+        oracle = Oracle(packed(scene))
     except SCENE_ERRORS:
         tally.outside += 1
         return []
     except Exception as error:
         return [exception_finding(error)]
-    rays = tried.rays(prepared.packed, count)
+    rays = tried.rays(oracle.packed, count)
     try:
-        of_rays = check_rays(prepared, rays, tally, tried.random(LIMIT_STREAM))
-        return [*of_rays, *check_image(prepared, tally, thorough)]
+        of_rays = check_rays(scene, oracle, rays, tally, tried.random(LIMIT_STREAM))
+        return [*of_rays, *check_image(scene, oracle, tally, thorough)]
     except Exception as error:
-        alone = map(rays.row, range(len(rays.o)))
+        alone = (rays.take([i]) for i in range(len(rays.o)))
         found = [(ray, each) for ray in alone for each in find(case_of(tried.made.data, ray))]
         raising = [replace(each, ray=ray) for ray, each in found if each.kind == "error"]
         return [*raising, exception_finding(error)]

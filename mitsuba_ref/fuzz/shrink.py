@@ -15,10 +15,10 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import pack, primitive_count
 from caster.rendering.images import camera_rays
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz.cases import Case, case_of, scene_data
 from mitsuba_ref.fuzz.findings import Finding
 from mitsuba_ref.hard.family import scene_of
-from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.subjects.subject import describe_surface
 
 SHRINK_ATTEMPTS = 1500  # of one finding: a few seconds, since an attempt casts one ray
@@ -69,7 +69,7 @@ class Shrinker:
         x0, y0, x1, y1 = scene.film.window
         if (x1 - x0) * (y1 - y0) == 1:
             rays = camera_rays(scene)
-            return self.accepts(case_of(self.case, RayBatch(rays.o, rays.d, rays.t_min, rays.t_max)))
+            return self.accepts(case_of(self.case, Rays(*rays)))
         x, y = (x0 + x1) // 2, (y0 + y1) // 2
         halves = ([x0, y0, x, y1], [x, y0, x1, y1]) if x > x0 else ([x0, y0, x1, y], [x0, y, x1, y1])
         return any(self.accepts({**self.case, "film": {**film, "crop": half}}) for half in halves)

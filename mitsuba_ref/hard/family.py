@@ -9,11 +9,11 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
-from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.shapes.targets import Rng
 
 Fields = dict[str, Any]  # of a scene, a shape, a camera or a film, as a scene file gives them
-AimRays = Callable[[Rng, Packed, int], RayBatch]  # that many rays, or fewer where a family has no more
+AimRays = Callable[[Rng, Packed, int], Rays]  # that many rays, or fewer where a family has no more
 
 
 class HardScene(NamedTuple):

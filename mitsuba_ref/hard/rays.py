@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Packed, primitive_count
-from mitsuba_ref.error_model.intersections import Array
+from mitsuba_ref.error_model.intersections import Array, Rays
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, POINT_KINDS, Rng, SurfacePoints, random_directions
 
@@ -95,25 +95,9 @@ OriginsAndDirections = tuple[Array, Array]
 Aim = Callable[[Targets, int], OriginsAndDirections]
 
 
-class RayBatch(NamedTuple):
-    """Rays o + t d, t_min < t <= t_max."""
-
-    o: Array  # (n, 3) float64
-    d: Array  # (n, 3) float64, of any length
-    t_min: Array  # (n,)
-    t_max: Array  # (n,)
-
-    def taken(self, rows: Array | slice) -> "RayBatch":
-        return RayBatch(*(a[rows] for a in self))
-
-    def row(self, i: int) -> "RayBatch":
-        """Ray i alone."""
-        return self.taken(slice(i, i + 1))
-
-
-def endless(o: Array, d: Array) -> RayBatch:
+def endless(o: Array, d: Array) -> Rays:
     """Rays without limits."""
-    return RayBatch(o, d, np.zeros(len(o)), np.full(len(o), np.inf))
+    return Rays(o, d, np.zeros(len(o)), np.full(len(o), np.inf))
 
 
 def from_decades(low: float, high: float) -> Aim:
@@ -202,7 +186,7 @@ DENORMAL_AND_TINY = (-0.0, 0.0, 5e-324, -5e-324, 1e-310, -2.3e-308, 1e-200, 1e-3
 
 
 @np.errstate(all="ignore")
-def aimed_rays(targets: Targets, count: int, aims: Sequence[Aim] = ALL_AIMS) -> RayBatch:
+def aimed_rays(targets: Targets, count: int, aims: Sequence[Aim] = ALL_AIMS) -> Rays:
     """`count` rays, each by one of the aims; some perturbed or unusual; all finite, none without a direction."""
     rng = targets.rng
     which = rng.integers(len(aims), size=count)

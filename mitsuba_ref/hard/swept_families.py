@@ -9,9 +9,9 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
-from mitsuba_ref.error_model.intersections import Array, rounded
+from mitsuba_ref.error_model.intersections import Array, Rays, rounded
 from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene, plain
-from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, RayBatch, Targets, endless
+from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, Targets, endless
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints, random_unit_vectors
 
 CANDIDATES_PER_RAY = 64  # at the extreme end of a sweep few rays go where they were aimed
@@ -52,7 +52,7 @@ def towards(o: Array, p: Array) -> OriginsAndDirections:
     return start, unit(p - start)
 
 
-def batch(o: Array, d: Array) -> RayBatch:
+def batch(o: Array, d: Array) -> Rays:
     """The rays, rounded to float32 numbers."""
     with np.errstate(over="ignore"):
         return endless(rounded(o), rounded(d))
@@ -64,12 +64,12 @@ def balanced(draw: Aim, shape: Fields, candidates: int = CANDIDATES_PER_RAY) -> 
     Our caster only chooses the rays; exact arithmetic decides later which of them hit.
     """
 
-    def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
+    def aim(rng: Rng, packed: Packed, count: int) -> Rays:
         rays = batch(*draw(Targets(packed, rng), candidates * count))
         hit = find_nearest(packed, validated_rays(rays.o, rays.d, 0.0, np.inf)).prim >= 0
         hits, misses = np.flatnonzero(hit), np.flatnonzero(~hit)
         few = min(len(misses), max(count - len(hits), round(TARGET_MISS_SHARE * count)))
-        return rays.taken(np.sort(np.concatenate([hits[: count - few], misses[:few]])))
+        return rays.take(np.sort(np.concatenate([hits[: count - few], misses[:few]])))
 
     return hard_scene(aim, shape)
 
@@ -130,7 +130,7 @@ def of_length(shape: Round, rng: Rng, length: float) -> HardScene:
     """Directions scaled by `length` and rounded to float32 again, which changes them slightly."""
     made = scaled(shape, rng, 1.0)
 
-    def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
+    def aim(rng: Rng, packed: Packed, count: int) -> Rays:
         rays = made.aim(rng, packed, count)
         return batch(rays.o, length * rays.d)
 
@@ -205,7 +205,7 @@ def stretched_sphere(rng: Rng, condition: float) -> HardScene:
 def leaving(shape: Round, rng: Rng, away: float) -> HardScene:
     """Rays from p + away n on a surface: half outwards, half inwards."""
 
-    def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
+    def aim(rng: Rng, packed: Packed, count: int) -> Rays:
         d = random_unit_vectors(rng, count)
         p, _, across = Targets(packed, rng).points(count, "inside")
         n, outwards = unit(across), np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
@@ -226,7 +226,7 @@ def watertight(share: float, rng: Rng, away: float) -> HardScene:
     """
     move = away * random_unit_vectors(rng, 1)[0]
 
-    def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
+    def aim(rng: Rng, packed: Packed, count: int) -> Rays:
         (part,), eyes = packed.parts, -(-count // RAYS_PER_EYE)
         within = MAX_EYE_RADIUS * rng.random((eyes, 1)) * random_unit_vectors(rng, eyes)
         o = rounded(np.repeat(move + within, RAYS_PER_EYE, axis=0)[:count])
@@ -373,7 +373,7 @@ INNER_SHARE = 0.5  # radius of the inner sphere, unless stressed
 def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> HardScene:
     """Rays from a distance to points of the shapes, from all directions, or at an angle to the surface."""
 
-    def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
+    def aim(rng: Rng, packed: Packed, count: int) -> Rays:
         p, _, across = Targets(packed, rng).points(count, "inside")
         back = random_unit_vectors(rng, count)
         if angle:

@@ -13,11 +13,11 @@ from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
-from mitsuba_ref.error_model.intersections import Array, Intersections, without_float_warnings
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, without_float_warnings
+from mitsuba_ref.error_model.scene_model import SceneModel, Side
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 from mitsuba_ref.subjects.subject import Answer
 
 ADJUDICATION_SEED = 2
@@ -57,10 +57,17 @@ class Adjudication:
         return self.by_row.get(int(row))
 
     def first_hits(self, rows: Array) -> tuple[Array, Array]:
-        """(m,) primitive and t of the exact answer at some rows; -1 and inf on a miss, or if it is not known."""
-        answers = [self.of(row) for row in rows]
-        prim = np.array([-1 if answer is None else answer.prim for answer in answers], np.int64)
-        return prim, np.array([np.inf if answer is None else answer.distance for answer in answers])
+        """As `prims_and_t`, at some rows; -1 and inf also where the answer is not known."""
+        return prims_and_t([self.of(row) or MISS for row in rows])
+
+
+MISS = ExactAnswer(None, ())
+
+
+def prims_and_t(answers: Sequence[ExactAnswer]) -> tuple[Array, Array]:
+    """(m,) primitive and t of exact answers; -1 and inf on a miss."""
+    prim = np.array([answer.prim for answer in answers], np.int64)
+    return prim, np.array([answer.distance for answer in answers])
 
 
 def sample_rows(rows: Array, count: int) -> Array:
@@ -69,15 +76,16 @@ def sample_rows(rows: Array, count: int) -> Array:
     return np.sort(chosen)
 
 
-def oracle_answers(oracle: Oracle, o: Array, d: Array, t_max: Array, t_min: Array) -> Sequence[ExactAnswer | None]:
+def oracle_answers(oracle: Oracle, lines: Rays) -> Sequence[ExactAnswer | None]:
     """The exact answer to each ray; None for a ray that the oracle cannot answer."""
     try:
-        return oracle.first_hits(o, d, t_min, t_max)
+        return oracle.first_hits(*lines)
     except OutsideDomain:
-        if len(o) == 1:
+        if len(lines.o) == 1:
             return [None]
-        halves = zip(*(np.array_split(rows, 2) for rows in (o, d, t_max, t_min)), strict=True)
-        return [answer for half in halves for answer in oracle_answers(oracle, *half)]
+        half = len(lines.o) // 2
+        parts = lines.take(slice(half)), lines.take(slice(half, None))
+        return [answer for part in parts for answer in oracle_answers(oracle, part)]
 
 
 def claims_of(answer: Answer, packed: Packed) -> Claims:
@@ -89,10 +97,6 @@ def claims_of(answer: Answer, packed: Packed) -> Claims:
     t = np.where(answer.hit, np.nan, np.inf) if answer.hits_only else answer.t
     n = NOT_CLAIMED if answer.n is None else answer.n
     return Claims(t, shape, n, t_rounding=answer.t_rounding, prim=prim)
-
-
-# (m,) indices of pixels, (m,) primitives, (m,) t -> the intersections as the subject may see them
-IntersectionsNear = Callable[[Array, Array, Array], Intersections]
 
 
 def id_columns(answer: Answer, packed: Packed) -> list[tuple[str, Array, Callable[[Array], Array]]]:
@@ -113,9 +117,14 @@ def named_prims(scene: Scene, packed: Packed, prims: Array) -> list[tuple[str, i
 
 
 def exact_ratios(
-    answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
+    answers: Sequence[ExactAnswer | None],
+    answer: Answer,
+    near: Callable[[Array, Array, Array], Intersections],
+    packed: Packed,
 ) -> tuple[Array, Array]:
     """(m,) a subject's error over its bound, and whether it has the first member of the tie set; answer: to m pixels.
+
+    near: (k,) numbers of pixels, primitives and t -> the intersections as the subject may see them.
 
     Of a subject with exact visibility, the first member alone is right; of others every member, and the best one
     counts. t is compared, and the normal and ids if they are given; where rounding cannot resolve t, these alone.
@@ -161,46 +170,38 @@ def ratio_to_bound(error: Array, bound: Array) -> Array:
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """A scene packed as float32 numbers, its error model, and float32 rays through it."""
+    """A scene, the model of its float32 numbers, and float32 rays through it."""
 
     scene: Scene
-    packed: Packed
     model: SceneModel
     o: Array  # (n, 3) float32
     d: Array  # (n, 3) float32
 
-    @property
-    def primitives(self) -> int:
-        return int(self.packed.first[-1])
-
 
 def prepare_scene(scene: Scene, o: Array, d: Array) -> PreparedScene:
-    packed = packed_float32(scene)
-    return PreparedScene(scene, packed, model_of(scene, packed, endless_rays(o, d)), o, d)
+    return PreparedScene(scene, model_of(scene, endless_rays(o, d)), o, d)
 
 
 class ExactHits:
     """Exact first hits of rays o + t d, t > 0; all arrays have one row a ray."""
 
-    def __init__(self, ready: PreparedScene, o: Array, d: Array) -> None:
-        self.ready, self.o, self.d = ready, o.astype(np.float64), d.astype(np.float64)
-        self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d))
-        self.hit = np.array([answer.hit for answer in self.answers], bool)
-        self.t = np.array([answer.distance for answer in self.answers])
+    def __init__(self, model: SceneModel, o: Array, d: Array) -> None:
+        self.model, self.o, self.d = model, o.astype(np.float64), d.astype(np.float64)
+        self.answers = tuple(Oracle(model.packed).first_hits(self.o, self.d))
+        self.prim, self.t = prims_and_t(self.answers)
+        self.hit = self.prim >= 0
 
-    def near(self, rows: Array, prim: Array, t: Array, ku: float, *, ours: bool) -> Intersections:
-        """Intersections of some rays with primitives, one each. ku, ours: as in SceneModel.intersect."""
-        return intersections_at(self.ready.model, prim, self.o[rows], self.d[rows], t, ku, ours=ours)
+    def near(self, rows: Array | slice, prim: Array, t: Array, side: Side) -> Intersections:
+        """Intersections of some rays with primitives, one each."""
+        return intersections_at(self.model, prim, self.o[rows], self.d[rows], t, side)
 
-    def ratios(self, answer: Answer, *, ours: bool) -> Array:
-        """(n,) error over bound, as by `exact_ratios`. ours: False for the reference, as in SceneModel.intersect."""
-        near = partial(self.near, ku=answer.ku, ours=ours)
-        return exact_ratios(self.answers, answer, near, self.ready.packed)[0]
+    def ratios(self, answer: Answer, side: Side) -> Array:
+        """(n,) error over bound, as by `exact_ratios`."""
+        return exact_ratios(self.answers, answer, partial(self.near, side=side), self.model.packed)[0]
 
-    def bounds(self, ku: float, *, ours: bool) -> Array:
+    def bounds(self, side: Side) -> Array:
         """(n,) bounds on |t - exact t| at the first primitive that is hit; NaN on a miss."""
-        prim = np.array([answer.prim for answer in self.answers], np.int64)
-        return np.where(self.hit, self.near(np.arange(len(prim)), prim, self.t, ku, ours=ours).t_error, np.nan)
+        return np.where(self.hit, self.near(slice(None), self.prim, self.t, side).t_error, np.nan)
 
     def errors(self, t: Array) -> Array:
         """(n,) |t - exact t|, exactly rounded; NaN where either is not finite."""

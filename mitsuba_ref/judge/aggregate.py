@@ -173,23 +173,23 @@ class JudgedFilm:
 
 def judged_film(judge: Judge, judgement: Judgement) -> JudgedFilm:
     """The film of one window."""
-    pair = judge.pair
-    classes = judgement.classes.astype(np.uint8).reshape(pair.shape)
-    return JudgedFilm(classes, {"ours": pair.subject, "reference": pair.reference}, tuple(_failing(judge, judgement)))
+    classes = judgement.classes.astype(np.uint8).reshape(judge.shape)
+    images = {"ours": judge.subject, "reference": judge.pair.reference}
+    return JudgedFilm(classes, images, tuple(_failing(judge, judgement)))
 
 
 def _failing(judge: Judge, judgement: Judgement) -> Iterator[FailingPixel]:
-    pair, own, rows = judge.pair, judge.own, failing_rows(judgement)
+    own, rows = judge.own, failing_rows(judgement)
     # Bounds on the error of each check that has one, in the unit of its values; 0 for numbers and hits.
     bounds = dict.fromkeys(("mask", "shape_id", "prim_id"), np.zeros(len(judge.hit)))
-    bounds |= {"normal": own.n_error, "depth": (own.t_error + judge.answer.t_rounding) * pair.length}
+    bounds |= {"normal": own.n_error, "depth": (own.t_error + judge.answer.t_rounding) * judge.length}
     bounds["on_surface"] = bounds["depth"]
     if judge.names_prims:
         bounds |= judge.allowed_distance
     for row, check in zip(rows.tolist(), decisive_checks(judgement, rows), strict=True):
         name, ratio = VALUES_OF.get(check, check), float(judgement.ratios[check][row])
         x, y = pixel_of(judge.scene, row)
-        sides = (_value(aovs, name, row) for aovs in (pair.subject, pair.reference))
+        sides = (_value(aovs, name, row) for aovs in (judge.subject, judge.pair.reference))
         bound = float(bounds[check][row]) if check in bounds else np.nan
         yield FailingPixel(x, y, CLASSES[int(judgement.classes[row])], check, ratio, bound, *sides)
 

@@ -18,9 +18,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
-from mitsuba_ref.error_model.intersections import Array, Rays, row_groups, without_float_warnings
-from mitsuba_ref.error_model.scene_model import UncertainRaysModel
-from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
+from mitsuba_ref.error_model.intersections import Array, row_groups, without_float_warnings
+from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE, UncertainRaysModel
+from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import Adjudication, claims_of, exact_ratios, oracle_answers, sample_rows
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.comparison import Pixels, allowed_shares, check_ratios, pair_images
@@ -69,10 +69,6 @@ class Judgement:
         """(n,) bool: pixels of one of these classes."""
         return np.isin(self.classes, [CLASS_CODE[name] for name in names])
 
-    def is_right(self, row: int) -> bool:
-        """Whether the subject has the exact answer at a row that was adjudicated."""
-        return bool(self.exact.right[self.exact.rows == row].any())
-
 
 class Judge(Pixels):
     """Gives each pixel its class."""
@@ -81,12 +77,12 @@ class Judge(Pixels):
     def bracket(self) -> Bracket:
         """The answers that rounding allows the subject."""
         view = replace(self.view, refined=True) if isinstance(self.view, UncertainRaysModel) else self.view
-        return Bracket(view, self.answer.ku, ours=not self.answer.as_exported)
+        return Bracket(view, self.answer.side)
 
     @cached_property
     def reference_bracket(self) -> Bracket:
         """The answers that rounding allows Mitsuba."""
-        return Bracket(self.model, KU, ours=False)
+        return Bracket(self.model, REFERENCE_SIDE)
 
     @cached_property
     def oracle(self) -> Oracle:
@@ -161,14 +157,13 @@ class Judge(Pixels):
         own, certain = self.own, self.at.certain
         if not self.answer.exact_visibility:
             certain = certain & own.certain
-        hits = np.pad(self.hit.reshape(self.pair.shape), 1)
+        hits = np.pad(self.hit.reshape(self.shape), 1)
         near_hit = sliding_window_view(hits, (3, 3)).any(axis=(2, 3)).ravel()
-        if self.pair.rays.is_list:
+        if self.rays.is_list:
             # Rounding may move a hit beyond t_min or t_max, and a miss has no neighbours.
             certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
             rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
-            rays = Rays(self.o[rows], self.d[rows], self.t_min[rows], self.t_max[rows])
-            near_hit[rows] |= self.bracket.blocked(rays)[0]
+            near_hit[rows] |= self.bracket.blocked(self.lines.take(rows))[0]
         chosen = ~agreeing | np.where(self.hit, ~certain, near_hit)
         chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
         rows = np.flatnonzero(chosen & (self.t_max >= 0.0))
@@ -198,7 +193,7 @@ class Judge(Pixels):
         """Compare these rows of the image, ascending, with exact arithmetic."""
         given, t_min, starts = self.answer.rows(rows), self.t_min[rows], self.hits_at_t_min[rows]
         limits = np.where(starts, np.nextafter(t_min, -np.inf), t_min)
-        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], limits)
+        answers = oracle_answers(self.oracle, self.lines.take(rows)._replace(t_min=limits))
         starts &= [each is not None and each.distance == limit for each, limit in zip(answers, t_min, strict=True)]
         given = replace(given, t=np.where(starts, t_min, given.t))
         found = exact_ratios(answers, given, lambda of, *at: self.near(rows[of], *at), self.model.packed)
@@ -217,8 +212,8 @@ class Judge(Pixels):
         rows = rows[np.isin(rows, exact.rows[exact.right])]
         if not len(rows):
             return
-        (o, d, t_max), claims = (a[rows] for a in self.reference_lines), self._reference_claims(rows)
-        found = self.reference_bracket.judge(o, d, t_max, claims)
+        lines, claims = self.reference_lines.take(rows), self._reference_claims(rows)
+        found = self.reference_bracket.judge(lines, claims)
         # No numbers within the bounds give a hit at the origin itself: a ray begins beyond it.
         allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
         at = self.at if self.names_prims else self.own
@@ -226,8 +221,9 @@ class Judge(Pixels):
         classes[rows] = CODE.reference_wrong
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
         classes[rows[allowed & ~useless]] = CODE.explained
-        exponent = self.pair.rays.rows(rows).reference_exponent
-        same = (o == self.o[rows]).all(axis=1) & (np.ldexp(d, exponent[:, None]) == self.d[rows]).all(axis=1)
+        exponent = self.rays.rows(rows).reference_exponent
+        same = (lines.o == self.o[rows]).all(axis=1)
+        same &= (np.ldexp(lines.d, exponent[:, None]) == self.d[rows]).all(axis=1)
         for i in np.flatnonzero(allowed & ~useless & same):
             answer = exact.of(rows[i])
             if answer is not None and claims.shape[i] in self.model.packed.shape_of(answer.prims[1:]):
@@ -243,7 +239,7 @@ class Judge(Pixels):
         if self.answer.exact_visibility or not len(rows):
             return lost, lost
         claims = claims_of(self.answer.rows(rows), self.model.packed)
-        found = self.bracket.judge(self.o[rows], self.d[rows], self.t_max[rows], claims, t_min=self.t_min[rows])
+        found = self.bracket.judge(self.lines.take(rows), claims)
         allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self.hits_at_t_min[rows])
         if isinstance(self.view, UncertainRaysModel):
             prim, t = exact.first_hits(rows)
@@ -285,10 +281,10 @@ class Judge(Pixels):
         cases: dict[int, int | None] = {int(row): None for row in rows}
         rows = rows[~agreeing[rows]]
         if len(rows):
-            lines = tuple(a[rows] for a in self.reference_lines)
+            lines = self.reference_lines.take(rows)
             answers = [answer for answer in map(exact.of, rows) if answer is not None]
-            if self.pair.rays.is_list:  # along other numbers than the subject's
-                answers = self.oracle.first_hits(lines[0], lines[1], 0.0, lines[2])
+            if self.rays.is_list:  # along other numbers than the subject's
+                answers = self.oracle.first_hits(*lines)
             prims = self.reference_prim[rows].astype(np.int64)
             claims, robust = self._reference_claims(rows), self.result.robust
             features = defect_features(self.model, self.oracle, lines, claims, answers, prims, robust)

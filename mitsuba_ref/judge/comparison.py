@@ -20,14 +20,15 @@ from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, intersect
 from mitsuba_ref.error_model.intersections import (
     Array,
     Intersections,
+    Rays,
     any_of_columns,
     norm,
     without_float_warnings,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE, SceneModel
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, NOT_FINITE, Answer
@@ -52,32 +53,6 @@ class ImagePair:
     subject: Aovs  # the AOVs that the subject gives, and no others
     reference: Aovs  # at least the same
     result: ReferenceResult
-
-    @cached_property
-    def length(self) -> Array:
-        """(n,) of each ray's d."""
-        return norm(self.rays.d.astype(np.float64))
-
-    @property
-    def t(self) -> Array:
-        """(n,) the subject's."""
-        return self.answer.t
-
-    @property
-    def prim(self) -> Array:
-        """(n,) the subject's primitives, numbered through the scene; -1 on a miss, or if it names none."""
-        return np.full(len(self.t), -1, np.int32) if self.answer.prim is None else self.answer.prim
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(height, width)."""
-        height, width = self.subject.hit.shape
-        return height, width
-
-    @property
-    def any_hit(self) -> Array:
-        """(n,) bool: hit by either side."""
-        return self.subject.hit.ravel() | self.result.hit
 
 
 def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: ReferenceResult) -> ImagePair:
@@ -142,12 +117,12 @@ class Pixels:
     def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair, view: SceneModel | None = None):
         """view: the model as the subject may see it, if not `model`."""
         self.scene, self.model, self.pair, self.view = scene, model, pair, view or model
-        self.answer, self.result = pair.answer, pair.result
-        self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
-        self.t_max = pair.rays.t_max.astype(np.float64)
-        self.t_min = np.broadcast_to(np.asarray(pair.rays.t_min, np.float64), self.t_max.shape)
+        self.rays, self.answer, self.result = pair.rays, pair.answer, pair.result
+        o, d, t_max = (a.astype(np.float64) for a in self.rays[:3])
+        self.lines = Rays(o, d, np.broadcast_to(np.asarray(self.rays.t_min, np.float64), t_max.shape), t_max)
+        self.o, self.d, self.t_min, self.t_max = self.lines
         self.subject, self.reference = pair.subject, pair.reference
-        self.hit = pair.subject.hit.ravel()
+        self.hit = self.subject.hit.ravel()
         self.reference_prim = reference_prims(self.result, model)
         # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
         self.names_prims = self.answer.prim is not None
@@ -155,13 +130,13 @@ class Pixels:
         t, reference_t = (self.answer.t,) * 2 if self.names_prims else (self.result.t, self.reference_t)
         # The intersections with it: in the subject's precision, and with the reference's error bounds.
         self.own = self.near(slice(None), self.prim, t)
-        self.at = intersections_at(model, self.prim, *self.reference_lines[:2], reference_t, KU, ours=False)
+        self.at = intersections_at(model, self.prim, *self.reference_lines[:2], reference_t, REFERENCE_SIDE)
         with np.errstate(invalid="ignore"):
             self.point = self.o + self.answer.t[:, None] * self.d
         if self.answer.prim_id is not None:  # as packed: Mitsuba counts the triangles of a stand-in by itself
-            numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
+            numbers = model.packed.index_in_shape(self.reference_prim).reshape(self.shape)
             self.reference = Aovs({**pair.reference, "prim_id": numbers}, pair.reference.hit)
-        self.uv = self._uv_pair() if "uv" in pair.subject else None
+        self.uv = self._uv_pair() if "uv" in self.subject else None
         # No rounding excuses images that contradict themselves.
         self.inconsistent = inconsistent_aovs(self)
         self.consistent = ~np.any([np.zeros(len(self.hit), bool), *self.inconsistent.values()], axis=0)
@@ -169,27 +144,26 @@ class Pixels:
     def _uv_pair(self) -> UvPair:
         """uv of both sides; if the reference names the other face of an edge, its uv are compared at that face."""
         prim, theirs = self.prim, aov_rows(self.reference, "uv")
-        ours = self.model.uv_points(prim, aov_rows(self.subject, "uv"), ours=True)
-        reference = self.model.uv_points(prim, theirs, ours=False)
+        ours = self.model.uv_points(prim, aov_rows(self.subject, "uv"), OUR_SIDE)
+        reference = self.model.uv_points(prim, theirs, REFERENCE_SIDE)
         known, bound = self.model.reference_has_uv(prim), self.at.uv_error.copy()
         rows = np.flatnonzero((prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known)
         if len(rows):
-            other, (o, d, _) = self.reference_prim[rows], (a[rows] for a in self.reference_lines)
-            at = intersections_at(self.model, other, o, d, self.reference_t[rows], KU, ours=False)
-            moved = self.model.uv_points(other, theirs[rows], ours=False) - at.uv
+            other, lines = self.reference_prim[rows], self.reference_lines.take(rows)
+            at = intersections_at(self.model, other, *lines[:2], self.reference_t[rows], REFERENCE_SIDE)
+            moved = self.model.uv_points(other, theirs[rows], REFERENCE_SIDE) - at.uv
             reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
         return UvPair(ours, np.where(known[:, None], reference, ours), bound)
 
     def near(self, rows: Array | slice, prim: Array, t: Array) -> Intersections:
         """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
-        ku, ours = self.answer.ku, not self.answer.as_exported
-        return intersections_at(self.view, prim, self.o[rows], self.d[rows], t, ku, ours=ours)
+        return intersections_at(self.view, prim, self.o[rows], self.d[rows], t, self.answer.side)
 
     @cached_property
-    def reference_lines(self) -> tuple[Array, Array, Array]:
-        """o, d, t_max as Mitsuba traced them: (self.o, self.d, self.t_max), but for rays of a list."""
-        rays = self.pair.rays.for_reference()
-        return rays.o.astype(np.float64), rays.d.astype(np.float64), rays.t_max.astype(np.float64)
+    def reference_lines(self) -> Rays:
+        """The rays as Mitsuba traced them: `lines`, but for rays of a list."""
+        o, d, t_max = (a.astype(np.float64) for a in self.rays.for_reference()[:3])
+        return Rays(o, d, np.zeros(len(o)), t_max)
 
     @property
     def reference_t(self) -> Array:
@@ -222,7 +196,7 @@ class Pixels:
         differs by far more than any bound.
         """
         at = self.at
-        depth = at.t_error * self.pair.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
+        depth = at.t_error * self.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
         found = {"depth": depth, "position": at.p_error, "normal": at.n_error, "shading_normal": at.sh_error}
         return found if self.uv is None else found | {"uv": self.uv.bound}
 
@@ -254,6 +228,27 @@ class Pixels:
     def both_hit(self) -> Array:
         """(n,) bool."""
         return self.hit & self.reference.hit.ravel()
+
+    @property
+    def any_hit(self) -> Array:
+        """(n,) bool: hit by either side."""
+        return self.hit | self.result.hit
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        height, width = self.subject.hit.shape
+        return height, width
+
+    @cached_property
+    def length(self) -> Array:
+        """(n,) of each ray's d."""
+        return norm(self.d)
+
+    @property
+    def subject_prim(self) -> Array:
+        """(n,) the subject's primitives, numbered through the scene; -1 on a miss, or if it names none."""
+        return np.full(len(self.hit), -1, np.int32) if self.answer.prim is None else self.answer.prim
 
 
 @without_float_warnings
@@ -304,17 +299,18 @@ def inconsistent_aovs(pixels: Pixels) -> dict[str, Array]:
     No rounding excuses a number that is not finite on a hit, a value on a miss, or a depth, mask, primitive or albedo
     that does not follow from the hit.
     """
-    scene, packed, pair, prim = pixels.scene, pixels.model.packed, pixels.pair, pixels.answer.prim
+    scene, packed, prim = pixels.scene, pixels.model.packed, pixels.answer.prim
     if prim is None:
         return {}
-    subject, hit = pixels.subject, np.isfinite(pair.t)
+    subject, t = pixels.subject, pixels.answer.t
+    hit = np.isfinite(t)
     found = {}
     for name in COMPARED_AOVS:
         if name in subject:
             values = aov_rows(subject, name).reshape(len(hit), -1)
             unfit = np.where(hit[:, None], ~np.isfinite(values), values != MISS_VALUES.get(name, 0))
             found[name] = any_of_columns(unfit)
-    depth = pair.rays.start + pair.t * pair.length  # from the eye, up to three roundings
+    depth = pixels.rays.start + t * pixels.length  # from the eye, up to three roundings
     found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
     found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
     shape = aov_rows(subject, "shape_id")

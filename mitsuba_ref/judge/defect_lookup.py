@@ -16,9 +16,10 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.intersections import Array, norm, without_float_warnings, without_overflow_warnings
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.intersections import Array, Rays, norm, without_float_warnings, without_overflow_warnings
+from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE, SceneModel, Side
 from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.judge.adjudication import prims_and_t
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import KINDS, kind_of
 
@@ -36,8 +37,14 @@ def defect_name(number: int) -> str:
 
 def defect_of(features: DefectFeatures) -> int | None:
     """The number of the known defect that fits (of several, the one of lowest `priority`), or None."""
-    kinds = KINDS.values()
-    found = [defect for kind in kinds for defect in kind.known_defects if defect.applies(kind.name, features)]
+    ours, theirs = {features.ours}, {features.theirs}
+    subjects = {"missed": ours - theirs, "named": theirs, "either": ours | theirs}
+    found = [
+        defect
+        for kind in KINDS.values()
+        for defect in kind.known_defects
+        if kind.name in subjects[defect.subject] and defect.condition(features)
+    ]
     if NAN_T.condition(features):
         found.append(NAN_T)
     return min(found, key=lambda defect: defect.priority).number if found else None
@@ -49,7 +56,7 @@ LEAST_FLOAT64 = 2.0**-1074
 def defect_features(
     model: SceneModel,
     oracle: Oracle,
-    lines: tuple[Array, Array, Array],
+    lines: Rays,
     claims: Claims,
     answers: Sequence[ExactAnswer],
     named: Array,
@@ -57,15 +64,14 @@ def defect_features(
 ) -> Iterator[DefectFeatures]:
     """Features at m pixels of one scene.
 
-    lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; named: (m,) its primitives, -1 on a miss; robust:
-    its mode.
+    claims: the reference's; named: (m,) its primitives, -1 on a miss; robust: its mode.
     """
-    o, d, _ = lines
-    wide = Bracket(model, WIDENED_BOUNDS_FACTOR * KU, ours=False, closed=robust)
-    nearly = wide.judge(*lines, claims, also=named).allowed
+    o, d = lines[:2]
+    wide = Bracket(model, Side(WIDENED_BOUNDS_FACTOR * KU, own=False), closed=robust)
+    nearly = wide.judge(lines, claims, also=named).allowed
     whole, normless = _with_normals(model, o, d, claims, named)
-    normless &= wide.judge(*lines, whole, also=named).allowed
-    hit = np.array([answer.prim for answer in answers], np.int64)
+    normless &= wide.judge(lines, whole, also=named).allowed
+    hit, _ = prims_and_t(answers)
     distance, offset = np.maximum(_distance_and_offset(model, hit, o), _distance_and_offset(model, named, o))
     for i, answer in enumerate(answers):
         t, prim = float(claims.t[i]), int(named[i])
@@ -99,7 +105,7 @@ def _with_normals(model: SceneModel, o: Array, d: Array, claims: Claims, prims: 
     rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
     normless = np.zeros(len(prims), bool)
     n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
-    at = intersections_at(model, prims[rows], o[rows], d[rows], claims.t[rows], KU, ours=False)
+    at = intersections_at(model, prims[rows], o[rows], d[rows], claims.t[rows], REFERENCE_SIDE)
     n[rows], sh_n[rows], normless[rows] = at.n, at.sh_n, at.n_error >= 1.0
     p[rows] = o[rows] + at.t[:, None] * d[rows]
     return claims._replace(n=n, sh_n=sh_n, p=p), normless
@@ -131,7 +137,7 @@ def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: Arr
     if shape < 0:
         return False
     if prim >= 0:
-        at = model.intersect(np.array([prim]), o[None], d[None], KU, ours=False).at
+        at = model.intersect(np.array([prim]), o[None], d[None], REFERENCE_SIDE).at
         if (np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any():
             return True
     first, end = model.packed.first[shape : shape + 2]

@@ -435,8 +435,8 @@ def _features(judge: Judge, rows: Array, prim: Array) -> tuple[list[Property], l
         ("the number of the primitive in its shape", packed.index_in_shape(prim)),
         ("|d|", norm(d)),
     ]
-    if not judge.pair.rays.is_list:
-        y, x = np.divmod(rows, judge.pair.shape[1])
+    if not judge.rays.is_list:
+        y, x = np.divmod(rows, judge.shape[1])
         quantities += [("the pixel's x", x), ("the pixel's y", y)]
     return properties, quantities
 

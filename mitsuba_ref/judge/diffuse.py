@@ -13,7 +13,8 @@ from mitsuba_ref.error_model.intersections import Array, Intersections, without_
 from mitsuba_ref.error_model.lambert import LightChoices, LightContribution, ShadingPoints, smallest_error_ratio
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.judge.comparison import ImagePair, Pixels
+from mitsuba_ref.judge.comparison import Pixels
+from mitsuba_ref.reference.rendering import ReferenceResult
 
 
 class Lights(NamedTuple):
@@ -31,24 +32,25 @@ def judge_diffuse(pixels: Pixels, rows: Array, brackets: tuple[Bracket, Bracket]
     Returns (n,) each: the difference over its bound with Mitsuba's own shadows, 0 elsewhere; whether other shadows that
     rounding allows both sides give our value; whether Mitsuba's own value has no useful bound.
     """
-    scene, pair, count = pixels.scene, pixels.pair, len(pixels.hit)
+    scene, result, count = pixels.scene, pixels.result, len(pixels.hit)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
     lights = _lights(scene, hits_of(pixels, pixels.at, rows), KU)
     textures, reference_ratio = scene.textures, np.zeros(count)
     if any(textures):
-        answer = pair.result.answer
+        answer = result.answer
         p, uv = (each[rows].astype(np.float64) for each in (answer.p, answer.uv))
-        at = ColoredPoints(pair.result.shape_id[rows], answer.prim[rows], uv, p, answer.albedo[rows])
+        at = ColoredPoints(result.shape_id[rows], answer.prim[rows], uv, p, answer.albedo[rows])
         reference_ratio[rows] = color_ratios(textures, pixels.model.packed.parts, at, KU)
-        pair = _for_our_albedo(scene, pair, rows, lights)
-    given, no_doubt = _as_given(pair, lights, rows), np.zeros_like(lights.doubtful)
-    ratio[rows] = _ratio(pair, rows, LightChoices(*given, *given, no_doubt))
+        result = _for_our_albedo(pixels, rows, lights)
+    given, no_doubt = _as_given(result, lights, rows), np.zeros_like(lights.doubtful)
+    ratio[rows] = _ratio(pixels, result, rows, LightChoices(*given, *given, no_doubt))
     ratio = np.maximum(ratio, reference_ratio)
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
         hit = hits_of(pixels, pixels.at, beyond)
         lights = _lights(scene, hit, KU)
-        explained[beyond] = _ratio(pair, beyond, _choices(scene, pair, lights, hit, beyond, brackets)) <= 1.0
+        choices = _choices(pixels, result, lights, hit, beyond, brackets)
+        explained[beyond] = _ratio(pixels, result, beyond, choices) <= 1.0
         explained &= reference_ratio <= 1.0
         unresolvable[beyond] = ~np.isfinite(lights.error).all(axis=(0, 2))
     return ratio, explained, unresolvable
@@ -88,19 +90,19 @@ def shading_points(scene: Scene, p: Array, d: Array, at: Intersections, shape: A
 
 
 @without_float_warnings
-def _for_our_albedo(scene: Scene, pair: ImagePair, rows: Array, lights: Lights) -> ImagePair:
-    """The pair with Mitsuba's light reflected by our textures: the reflectances are compared by themselves.
+def _for_our_albedo(pixels: Pixels, rows: Array, lights: Lights) -> ReferenceResult:
+    """Mitsuba's light reflected by our textures: the reflectances are compared by themselves.
 
     Where Mitsuba's reflectance is 0, which hides its light, the light is that of the definitions.
     """
-    result, ours = pair.result, aov_rows(pair.subject, "albedo")[rows]
+    scene, result, ours = pixels.scene, pixels.result, aov_rows(pixels.subject, "albedo")[rows]
     theirs = result.answer.albedo[rows].astype(np.float64)
-    textured = np.array([texture is not None for texture in scene.textures])[aov_rows(pair.subject, "shape_id")[rows]]
+    textured = np.array([texture is not None for texture in scene.textures])[aov_rows(pixels.subject, "shape_id")[rows]]
     unshadowed, ambient = result.unshadowed.copy(), result.ambient.copy()
     light = np.where(theirs > 0.0, unshadowed[:, rows] * (ours / theirs), lights.radiance)
     unshadowed[:, rows] = np.where(textured[:, None], light, unshadowed[:, rows])
     ambient[rows] = np.where(textured[:, None], ours * lambert.ambient_radiance(scene.lights), ambient[rows])
-    return replace(pair, result=replace(result, unshadowed=unshadowed, ambient=ambient))
+    return replace(result, unshadowed=unshadowed, ambient=ambient)
 
 
 def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
@@ -113,18 +115,23 @@ def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
     return Lights(each, radiance, error, doubtful)
 
 
-def _as_given(pair: ImagePair, lights: Lights, rows: Array) -> tuple[Array, Array]:
+def _as_given(result: ReferenceResult, lights: Lights, rows: Array) -> tuple[Array, Array]:
     """(lights, m, 3) each: Mitsuba's radiance, its shadows included, and its error."""
-    visible = pair.result.visible[:, rows, None]
-    return np.where(visible, pair.result.unshadowed[:, rows], 0.0), np.where(visible, lights.error, 0.0)
+    visible = result.visible[:, rows, None]
+    return np.where(visible, result.unshadowed[:, rows], 0.0), np.where(visible, lights.error, 0.0)
 
 
-def _ratio(pair: ImagePair, rows: Array, choices: LightChoices) -> Array:
-    return smallest_error_ratio(aov_rows(pair.subject, "diffuse")[rows], pair.result.ambient[rows], choices, KU)
+def _ratio(pixels: Pixels, result: ReferenceResult, rows: Array, choices: LightChoices) -> Array:
+    return smallest_error_ratio(aov_rows(pixels.subject, "diffuse")[rows], result.ambient[rows], choices, KU)
 
 
 def _choices(
-    scene: Scene, pair: ImagePair, lights: Lights, hit: ShadingPoints, rows: Array, brackets: tuple[Bracket, Bracket]
+    pixels: Pixels,
+    result: ReferenceResult,
+    lights: Lights,
+    hit: ShadingPoints,
+    rows: Array,
+    brackets: tuple[Bracket, Bracket],
 ) -> LightChoices:
     """Mitsuba's answer for each light, or the contrary where rounding allows each side its own answer.
 
@@ -132,12 +139,12 @@ def _choices(
     """
     ours, theirs = brackets
     doubt = lights.doubtful.copy()
-    p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
-    for i, light in enumerate(lights.each if scene.shading.shadows else ()):
+    p, n = (aov_rows(pixels.reference, name)[rows] for name in ("position", "normal"))
+    for i, light in enumerate(lights.each if pixels.scene.shading.shadows else ()):
         they_may, they_must = theirs.blocked(lambert.reference_shadow_rays(hit, light, p, n))
-        we_may, we_must = lambert.our_shadows(ours, hit, light, pair.prim[rows])
-        doubt[i] |= np.where(pair.result.visible[i, rows], we_may & ~they_must, they_may & ~we_must)
-    given, error = _as_given(pair, lights, rows)
+        we_may, we_must = lambert.our_shadows(ours, hit, light, pixels.subject_prim[rows])
+        doubt[i] |= np.where(result.visible[i, rows], we_may & ~they_must, they_may & ~we_must)
+    given, error = _as_given(result, lights, rows)
     bright = np.asarray(given.any(axis=-1))[..., None]
     contrary, its_error = (np.where(bright, 0.0, each) for each in (lights.radiance, lights.error))
     return LightChoices(given, error, contrary, its_error, doubt)

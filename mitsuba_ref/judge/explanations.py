@@ -46,7 +46,7 @@ def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row
     who, precision = subject_name(judge), judge.answer.precision
     explained = f"{who} is exactly right, and rounding in float32 allows Mitsuba's answer, too"
     unresolved = f"{who} is exactly right; float32, in which Mitsuba computes, cannot resolve this pixel"
-    if not (judge.answer.exact_visibility or judgement.is_right(row)):
+    if not (judge.answer.exact_visibility or judgement.exact.right[judgement.exact.rows == row].any()):
         explained = f"rounding in {precision} allows the candidate's answer, which is not the exact one"
         unresolved = f"{precision}, in which the candidate computes, cannot resolve this pixel"
     return explained if verdict == EXPLAINED else unresolved
@@ -133,7 +133,7 @@ def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> t
     prim, t = judgement.exact.first_hits(rows)
     if prim[0] >= 0 and judge.n is not None:  # in float64 at the surface that is hit: normals have no exact value
         exact += f", n ({format_numbers(judge.near(rows, prim, t).n[0])})"
-    subject = _aovs_text(judge, judge.pair.subject, judge.answer.t, row, check)
+    subject = _aovs_text(judge, judge.subject, judge.answer.t, row, check)
     broken = [why for why, where in judge.answer.broken.items() if where[row]]
     ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
     reference = _aovs_text(judge, judge.pair.reference, judge.result.t, row, check)

@@ -16,7 +16,8 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
-from mitsuba_ref.error_model.intersections import Array, Intersections, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.intersections import Array, Intersections, Rays, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.scene_model import OUR_SIDE
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -83,7 +84,8 @@ class WrongPixels:
     @cached_property
     def roots(self) -> RayIntersections:
         """All intersections of the lines, before and behind the origins; `ray` is the place here."""
-        return self.judge.bracket.possible_hits(self.o, self.d, self.judge.t_max[self.rows], -np.inf)
+        lines = self.judge.lines.take(self.rows)
+        return self.judge.bracket.possible_hits(lines._replace(t_min=np.full(len(self.rows), -np.inf)))
 
     @cached_property
     def columns(self) -> list[tuple[str, Array, Callable[[Array], Array]]]:
@@ -175,7 +177,7 @@ def _explains_hits(f: WrongPixels, fits: Array) -> bool:
 
 def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong hits, misses and t, the simplest first; numbers in it are fitted to the wrong pixels f."""
-    answer, is_list, camera = f.judge.answer, f.judge.pair.rays.is_list, f.judge.scene.camera
+    answer, is_list, camera = f.judge.answer, f.judge.rays.is_list, f.judge.scene.camera
     if is_list and not answer.hits_only:
         yield from OUT_OF_RANGE
     yield _quantity(
@@ -195,7 +197,7 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if not answer.exact_visibility:
         yield from _other_numbers(f)
     if not is_list:
-        yield from _image_orders(f.judge.pair.shape)
+        yield from _image_orders(f.judge.shape)
         yield from (_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
     yield from SELECTIONS
     yield from _other_rays()
@@ -245,10 +247,10 @@ def _is_rounding_of_t(g: WrongPixels, bound: Array) -> Array:
 def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     """t at the right surface, of other numbers than those that are traced, or with the rounding of others."""
     answer = f.judge.answer
-    described = described_model(f.judge.scene) if f.judge.pair.rays.is_list and answer.precision == FLOAT64 else None
+    described = described_model(f.judge.scene) if f.judge.rays.is_list and answer.precision == FLOAT64 else None
 
     def of_described(g: WrongPixels) -> Array:
-        at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, KU_OURS, ours=True)
+        at = intersections_at(described or g.judge.model, g.prim, g.o, g.d, g.t, OUR_SIDE)
         return g.right_under(g.hit, at.t, at.t_error) & g.hit
 
     def of_points(g: WrongPixels) -> Array:
@@ -380,7 +382,8 @@ def _recast(what: str, remedy: str, lines: Lines) -> Mistake:
     """The first hits along other rays."""
 
     def predicts(g: WrongPixels) -> Array:
-        return _right_among(g, g.judge.bracket.possible_hits(*lines(g), g.judge.t_max[g.rows]))
+        along = Rays(*lines(g), np.zeros(len(g.rows)), g.judge.t_max[g.rows])
+        return _right_among(g, g.judge.bracket.possible_hits(along))
 
     return Mistake(what, remedy, predicts, IMAGE, elsewhere=True)
 

@@ -26,7 +26,7 @@ from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import further_rays
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import Cause, diagnose, sentence_by_row
-from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import AGREE, EXCUSED, FAILING, TIE, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.originals import original_of
@@ -150,7 +150,7 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
         "loaded": judge.result.answer.meshes,
         "failing": bool(judgement.is_class(*FAILING).any()),
         "judge": judge,
-        "biases": tuple(kind_biases(judge)) if task.ours else (),
+        "biases": tuple(kind_biases(judge, judgement.is_class(*EXCUSED))) if task.ours else (),
     }
     if not task.ours:
         made = make_checks(of_scene, inputs)
@@ -162,19 +162,19 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
 
 def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
     judge, judgement, diagnosis, _ = seen
-    pair, answer = judge.pair, judge.answer
+    answer = judge.answer
     kinds = kind_counts(judgement, task.bounce) if task.bounce else {}
     by_check, by_row, agreeing = failing_by_check(judgement), sentence_by_row(diagnosis), judgement.is_class(AGREE)
     return _verdict_of(
         task,
         checks,
-        hit_pixels=int(pair.any_hit.sum()),
-        counts=class_counts(judgement, pair.any_hit),
+        hit_pixels=int(judge.any_hit.sum()),
+        counts=class_counts(judgement, judge.any_hit),
         kinds=kinds,
         ratios={name: float(ratio[agreeing].max(initial=0.0)) for name, ratio in judgement.ratios.items()},
         failures=listed_failures(judge, judgement, diagnosis),
-        versions=pair.result.answer.versions,
-        reference_stored=pair.result.answer.stored,
+        versions=judge.result.answer.versions,
+        reference_stored=judge.result.answer.stored,
         allowed=judgement.allowed,
         adjudicated=len(judgement.exact.rows),
         not_adjudicated=len(judgement.not_adjudicated),
@@ -225,7 +225,7 @@ def _notes_on_bounce(film: BounceFilm, kinds: dict[str, dict[str, int]]) -> Iter
 def _notes_on_hits(judge: Judge, judgement: Judgement) -> Iterator[str]:
     """Where the shapes are and how the rays go, if nothing is hit; how many hits of a candidate are at t_min itself."""
     low, high = judge.model.boxes
-    if not judge.pair.any_hit.any() and len(low) and len(judge.o):
+    if not judge.any_hit.any() and len(low) and len(judge.o):
         middle = len(judge.o) // 2
         numbers = low.min(axis=0), high.max(axis=0), judge.o[middle], judge.d[middle]
         words = [", ".join(f"{v:.4g}" for v in each) for each in numbers]

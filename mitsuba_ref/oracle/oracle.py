@@ -58,7 +58,7 @@ class Oracle:
         Raises OutsideDomain for a primitive with a number that is not finite (faces are dropped instead), and
         LookupError for a kind without exact arithmetic.
         """
-        parts = []
+        self.packed, parts = packed, []
         for arrays in packed.kinds:
             name, kind = type(arrays.prims).__name__, EXACT_KINDS.get(type(arrays.prims))
             if kind is None:

@@ -66,7 +66,7 @@ def probe_with_evidence(
     if isinstance(judge, Crash):
         crash = PixelVerdict(x=x, y=y, verdict=UNDECIDED, ray=_ray(shared_rays(scene)), problem=judge.message)
         return crash, judge
-    pair, judgement = judge.pair, judge.judge()
+    judgement = judge.judge()
     exact = exact_answer(judge, judgement, 0)
     theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), timeout)
     witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
@@ -75,12 +75,12 @@ def probe_with_evidence(
         **_class_of(judge, judgement, sentence_by_row(diagnose(judge, judgement))),
         x=x,
         y=y,
-        ray=_ray(pair.rays),
-        ours=_answer(scene, pair.subject, pair.t),
-        reference=_answer(scene, pair.reference, pair.result.t),
+        ray=_ray(judge.rays),
+        ours=_answer(scene, judge.subject, judge.answer.t),
+        reference=_answer(scene, judge.reference, judge.result.t),
         exact=_exact(judge, exact),
         ratios={name: float(share) for name, (share,) in judgement.ratios.items() if share != 0.0 or agrees},
-        versions=pair.result.answer.versions,
+        versions=judge.result.answer.versions,
         witnesses=witnesses if theirs is None or theirs.witness is None else (theirs.witness, *witnesses),
         candidate=theirs,
         path=tuple(follow_path(scene, bounces, candidate or OURS, timeout)) if bounces else None,
@@ -132,7 +132,7 @@ def probe_candidate(
         **found,
         name=candidate.name,
         precision=judge.answer.precision,
-        says=_answer(judge.scene, judge.pair.subject, judge.answer.t, row),
+        says=_answer(judge.scene, judge.subject, judge.answer.t, row),
         notes=(*judge.answer.notes, *response.limits),
         witness=witness,
     )

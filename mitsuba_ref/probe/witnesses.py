@@ -9,7 +9,7 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE
 from mitsuba_ref.judge.adjudication import named_prims, ratio_to_bound
 from mitsuba_ref.judge.classification import EXACT, Judge
 from mitsuba_ref.judge.comparison import reference_prims
@@ -45,7 +45,7 @@ class WitnessAnswer:
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """The answers of all witnesses. judge: of a window of one pixel."""
-    surface, t = surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0])
+    surface, t = surface_of(judge, int(judge.subject_prim[0])), float(judge.answer.t[0])
     rows = [compared_with_exact(WitnessAnswer("ours", *surface, t, format=FLOAT64), judge, answer)]
     if answer is not None:
         rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), answer.distance, right=True))
@@ -63,9 +63,7 @@ def _of_mitsuba(judge: Judge, exact: ExactAnswer | None) -> Iterator[WitnessAnsw
             continue
         found: ReferenceResult | Crash = result
         if (variant, robust) != (given, result.robust):
-            found = trace_reference(
-                judge.scene, judge.model, judge.pair.rays, variant=variant, lights=False, robust=robust
-            )
+            found = trace_reference(judge.scene, judge.model, judge.rays, variant=variant, lights=False, robust=robust)
         if isinstance(found, Crash):
             yield WitnessAnswer(who, problem=f"no answer ({found.exit}): {found.headline}")
             continue
@@ -87,8 +85,8 @@ def compared_with_exact(witness: WitnessAnswer, judge: Judge, exact: ExactAnswer
     surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
     if (witness.shape, witness.prim) not in surfaces:
         return replace(witness, right=False)
-    ours, prim, t = witness.format == FLOAT64, np.array([exact.prim]), np.array([witness.t])
-    at = intersections_at(judge.model, prim, judge.o, judge.d, t, KU_OURS if ours else KU, ours=ours)
+    side = OUR_SIDE if witness.format == FLOAT64 else REFERENCE_SIDE
+    at = intersections_at(judge.model, np.array([exact.prim]), judge.o, judge.d, np.array([witness.t]), side)
     found = with_error_of_t(witness, exact, at.t_error)
     return replace(found, right=found.share is None or found.share <= 1.0)
 

@@ -26,7 +26,7 @@ from mitsuba_ref.reference.messages import Coverage, Crash, OpenRefusal, OpenReq
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
 from mitsuba_ref.reference.rendering import trace_reference
-from mitsuba_ref.reference.shared_input import model_of, packed_float32, shared_rays
+from mitsuba_ref.reference.shared_input import model_of, shared_rays
 from mitsuba_ref.reference.store import key_of
 
 SUFFIX = ".xml"
@@ -170,7 +170,7 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
 def _hits_others(scene: MitsubaScene) -> Array:
     """(n,) bool: rays that hit a shape in Mitsuba which is not judged."""
     rays = shared_rays(scene)
-    model = model_of(scene, packed_float32(scene), rays)
+    model = model_of(scene, rays)
     found = trace_reference(scene, model, rays, lights=False, send=send_stored)
     if isinstance(found, Crash):
         raise SceneError(found.message)

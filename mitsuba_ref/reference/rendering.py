@@ -17,7 +17,7 @@ from mitsuba_ref.reference.interpreter import as_in_file
 from mitsuba_ref.reference.messages import Crash, MitsubaError, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.originals import original_of
-from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, packed_float32, shape_ids, shared_rays
+from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, shape_ids, shared_rays
 from mitsuba_ref.reference.variants import SCALAR, variant_for
 from mitsuba_ref.shapes import reference_of
 
@@ -154,7 +154,7 @@ def render_reference(
     aovs: of REFERENCE_AOVS. variant: of Mitsuba, default the one that works best here. timeout: in seconds.
     """
     rays = shared_rays(scene)
-    model = model_of(scene, packed_float32(scene), rays)
+    model = model_of(scene, rays)
     lights = not {"diffuse", "albedo"}.isdisjoint(aovs)
     result = trace_reference(scene, model, rays, variant=variant, lights=lights, timeout=timeout)
     if isinstance(result, Crash):

@@ -122,8 +122,9 @@ def packed_float32(scene: Scene) -> Packed:
     return packed(scene, as_float32)
 
 
-def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
-    """The judge's model of packed float32 geometry; patches in place of planes are cut to these rays."""
+def model_of(scene: Scene, rays: SharedRays, packed: Packed | None = None) -> SceneModel:
+    """The judge's model of packed geometry, float32 unless given; patches in place of planes are cut to these rays."""
+    packed = packed_float32(scene) if packed is None else packed
     references = [reference_of(shape) for shape in scene.shapes]
     real = rays.t_max >= 0.0
     o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
@@ -181,7 +182,7 @@ class SceneExport:
 
 def export_scene(scene: Scene) -> SceneExport:
     """XML and meshes of a scene, for use with plain Mitsuba."""
-    return export(scene, model_of(scene, packed_float32(scene), shared_rays(scene)))
+    return export(scene, model_of(scene, shared_rays(scene)))
 
 
 def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:

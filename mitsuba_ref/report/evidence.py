@@ -26,8 +26,8 @@ UNLISTED_COLOR = (255, 105, 180)
 
 def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> list[str]:
     """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr, NAME.verdict.exr; names. Raises OutputError."""
-    scene, pair = judge.scene, judge.pair
-    classified = pair.any_hit | judgement.is_class(*FAILING)
+    scene = judge.scene
+    classified = judge.any_hit | judgement.is_class(*FAILING)
     ratio = np.max([*judgement.ratios.values()], axis=0)
     verdict = {
         "A": classified.astype(np.float32),
@@ -36,10 +36,10 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
     }
     images = {
         "ours" if judge.names_prims else "candidate": {
-            channel: clipped_to_float32(values) for channel, values in aovs_to_channels(pair.subject).items()
+            channel: clipped_to_float32(values) for channel, values in aovs_to_channels(judge.subject).items()
         },
-        "reference": aovs_to_channels(pair.reference),
-        "verdict": {channel: values.reshape(pair.shape) for channel, values in verdict.items()},
+        "reference": aovs_to_channels(judge.pair.reference),
+        "verdict": {channel: values.reshape(judge.shape) for channel, values in verdict.items()},
     }
     film = (0, 0, scene.film.width, scene.film.height)
     colors = (bytes(CLASS_COLORS[each]).hex() for each in CLASSES)

@@ -15,6 +15,7 @@ from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from caster.scene.textures import MeshColors
 from caster.system.atomic_files import write_text
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
@@ -40,7 +41,7 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Ite
 
     lit: with lights, and primitives that may shadow the hit. Raises SceneError for a pixel without a ray.
     """
-    rays, scene = judge.pair.rays.for_reference(), judge.scene
+    rays, scene = judge.rays.for_reference(), judge.scene
     if rays.t_max[row] < 0.0:
         raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
     shapes: list[dict[str, Any]] = []
@@ -73,18 +74,20 @@ def has_other_light(judgement: Judgement, row: int) -> bool:
 
 def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     """Numbers of the primitives that may be hit in float32, are hit exactly, or are named by either side."""
-    o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
-    found = set(judge.reference_bracket.possible_hits(o, d, t_max).prim.tolist())
-    for answer in judge.oracle.first_hits(o, d, judge.t_min[row : row + 1], t_max):
+    line = judge.lines.take([row])
+    possible = [line._replace(t_min=np.zeros(1))]
+    found: set[int] = set()
+    for answer in judge.oracle.first_hits(*line):
         found |= set(answer.prims.tolist())
-    found |= {int(judge.pair.prim[row]), int(judge.reference_prim[row])}
-    if lit and judge.pair.prim[row] >= 0:
+    found |= {int(judge.subject_prim[row]), int(judge.reference_prim[row])}
+    if lit and judge.subject_prim[row] >= 0:
         for light in judge.scene.lights:
             if light.type != "ambient":
-                to_light, reach = direction_to_light(light, judge.point[row : row + 1])
-                found |= set(
-                    judge.reference_bracket.possible_hits(judge.point[row : row + 1], to_light, reach).prim.tolist()
-                )
+                point = judge.point[row : row + 1]
+                to_light, reach = direction_to_light(light, point)
+                possible.append(Rays(point, to_light, np.zeros(1), reach))
+    for each in possible:
+        found |= set(judge.reference_bracket.possible_hits(each).prim.tolist())
     return found - {-1}
 
 
@@ -129,7 +132,7 @@ def write_reproducers(
     list. Returns the names of the files, and the number of pixels of the same classes without a file.
     """
     judge, judgement, files = seen.judge, seen.judgement, list[str]()
-    is_list = judge.pair.rays.is_list
+    is_list = judge.rays.is_list
     if not (judge.names_prims or is_list):
         return (), 0
     groups = {cause.what: cause.rows.tolist() for cause in seen.diagnosis} if is_list else rows_by_case(judgement)
@@ -187,7 +190,7 @@ def reproduces(alone: Scene, judge: Judge, judgement: Judgement, row: int) -> tu
     if isinstance(again, Crash):
         return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."
     verdict, before = (CLASSES[int(code)] for code in (again.judge().classes[0], judgement.classes[row]))
-    t, t_before = float(again.pair.result.t[0]), float(judge.pair.result.t[row])
+    t, t_before = float(again.result.t[0]), float(judge.result.t[row])
     if verdict == before and (t == t_before or (np.isnan(t) and np.isnan(t_before))):
         return True, "Checked:   this file alone gives the same class, and the same t of Mitsuba."
     differs = f"class {verdict}, t of Mitsuba {t!r}"

@@ -136,8 +136,8 @@ class SceneRecord(NamedTuple):
 def scene_record(seen: Seen) -> SceneRecord:
     """The record of a judged scene."""
     judge, judgement = seen.judge, seen.judgement
-    ours, reference = judge.pair.subject, judge.pair.reference
-    classes, shape = _classes(judgement), judge.pair.shape
+    ours, reference = judge.subject, judge.pair.reference
+    classes, shape = _classes(judgement), judge.shape
     hit = ours.hit.ravel() + 2 * reference.hit.ravel()
     others = [name for name in judgement.ratios if name not in FLOAT_LAYERS]
     rows, exact = rows_without_loss(seen, classes, hit), judgement.exact.answers
@@ -223,20 +223,20 @@ def _images(hit: Array, shape: Shape, ours: Array, reference: Array) -> Part:
 
 def _ids(judge: Judge, rows: Array) -> Part:
     """Numbers of shapes, and of primitives within them, -1 on a miss; of a candidate that names none, some of its t."""
-    pair, index = judge.pair, judge.model.packed.index_in_shape
+    reference, index = judge.pair.reference, judge.model.packed.index_in_shape
     if judge.names_prims:
         numbers = {
-            "shape_reference": aov_rows(pair.reference, "shape_id"),
-            "shape_ours": aov_rows(pair.subject, "shape_id"),
-            "prim_reference": np.where(pair.reference.hit.ravel(), pair.result.answer.prim.astype(np.int64), -1),
-            "prim_ours": index(pair.prim),
+            "shape_reference": aov_rows(reference, "shape_id"),
+            "shape_ours": aov_rows(judge.subject, "shape_id"),
+            "prim_reference": np.where(reference.hit.ravel(), judge.result.answer.prim.astype(np.int64), -1),
+            "prim_ours": index(judge.subject_prim),
         }
         t = {}
     else:
-        numbers = {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
+        numbers = {"shape_reference": judge.result.shape_id, "prim_reference": index(judge.reference_prim)}
         # in lengths of d, which depth does not show
         t = {"exact": {"t_ours": packed(judge.answer.t[rows]), "t_reference": packed(judge.result.t[rows])}}
-    return {name: image(each, pair.shape) for name, each in numbers.items()} | t
+    return {name: image(each, judge.shape) for name, each in numbers.items()} | t
 
 
 # ---- thumbnails ----

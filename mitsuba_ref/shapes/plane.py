@@ -27,6 +27,7 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     perpendicular,
     position_error,
+    rounded,
     triangle_heights,
     unit,
     without_edges,
@@ -74,7 +75,7 @@ def _patch(normal: Array, point: Array, o: Array, d: Array) -> tuple[Array, ...]
     half = _half_side(n, point, center, o, d)
     sizes = half * 2.0 ** np.arange(PATCH_RINGS + 1)
     corners = center + (sizes[:, None, None] * product(SQUARE_CORNERS, axes)).reshape(-1, 3)
-    return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
+    return n, point, center, axes, np.array(half), rounded(corners)
 
 
 # The square of this, an area, is still a normal float32 number.

@@ -98,12 +98,6 @@ def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Inte
 TURN_ERROR = math.sqrt(3.0)
 
 
-def reference_uv_points(prims: Spheres, k: Array, uv: Array) -> Array:
-    """Mitsuba's uv are those of world axes, as its spheres are exported without their rotation."""
-    return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True))
-
-
-SPHERES_UV = UvSpace(sphere_uv_points, reference_uv_points, partial(sphere_uv_points, whole_turn=True))
 intersect_ellipsoid = partial(intersect_round, ends=False)
 
 
@@ -193,7 +187,16 @@ DEFECTS = (
 
 SPHERES = PrimitiveReference(
     Spheres,
-    ErrorModel(intersect, exact_kinds.SPHERES, uv=SPHERES_UV),
+    ErrorModel(
+        intersect,
+        exact_kinds.SPHERES,
+        uv=UvSpace(
+            sphere_uv_points,
+            # Mitsuba's uv are those of world axes, as its spheres are exported without their rotation.
+            lambda prims, k, uv: mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True)),
+            partial(sphere_uv_points, whole_turn=True),
+        ),
+    ),
     lambda part, k: {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])},
     on_spheres,
     describe_all=describe_spheres,

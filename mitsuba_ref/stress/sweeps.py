@@ -16,8 +16,9 @@ from caster.rendering.hits import cast
 from caster.system.atomic_files import ScratchFolder, check_folder, write_text
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE, Side
 from mitsuba_ref.hard.family import Family
+from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene
 from mitsuba_ref.judge.checks.knife_edges import nearest_hits, scene_of_ray, t_text
 from mitsuba_ref.judge.explanations import format_numbers
@@ -77,9 +78,9 @@ def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None
 
 def cast_by_bvh(ready: PreparedSetting) -> Answer:
     """Cast by our public function, on the packed float32 geometry."""
-    ready.scene.derived["packed"] = ready.packed
+    ready.scene.derived["packed"] = ready.model.packed
     hits = cast(ready.scene, ready.o, ready.d)
-    found = nearest_hits(ready.packed, hits.t, hits.shape_id, hits.prim_id)
+    found = nearest_hits(ready.model.packed, hits.t, hits.shape_id, hits.prim_id)
     return Answer(found.t, None, FLOAT64, {}, prim=found.prim, exact_visibility=True)
 
 
@@ -161,7 +162,7 @@ class Scorer:
         if ready.family.closed:
             sample = np.linspace(0, count - 1, min(count, ADJUDICATED_IF_CLOSED)).astype(int)
             self.rows = np.union1d(sample, np.flatnonzero(reported_misses)[:CONFIRMED_MISSES])
-        self.exact = ExactHits(ready, ready.o[self.rows], ready.d[self.rows])
+        self.exact = ExactHits(ready.model, ready.o[self.rows], ready.d[self.rows])
         self.hit = np.ones(count, bool)
         self.hit[self.rows] = self.exact.hit
         if ready.family.closed and not self.hit.all():
@@ -170,23 +171,24 @@ class Scorer:
         unit = ready.family.unit
         self.unit = np.abs(self.exact.t) if unit is None else unit / np.linalg.norm(self.exact.d, axis=1)
 
-    def bound(self, ku: float, *, ours: bool) -> float | None:
+    def bound(self, side: Side) -> float | None:
         """The prediction of the error model: the largest bound of the rays, in the family's unit."""
-        return largest(self.exact.bounds(ku, ours=ours) / self.unit)
+        return largest(self.exact.bounds(side) / self.unit)
 
     def score(self, answer: Answer, *, reference: bool = False) -> Score:
         """Score a caster: an answer is wrong if it is neither exact nor allowed by rounding in its precision.
 
         Ours has to be exact. reference: by the bounds of its own arithmetic; no wrong hit or miss of it is excused.
         """
-        exact, some, packed = self.exact, answer.rows(self.rows), self.ready.packed
-        ratio = exact.ratios(some, ours=not reference)
+        exact, some = self.exact, answer.rows(self.rows)
+        side = REFERENCE_SIDE if reference else Side(answer.ku)
+        ratio = exact.ratios(some, side)
         wrong = ~(ratio <= 1.0)
         open_to_excuse = exact.hit & some.hit if reference else np.full(len(wrong), not answer.exact_visibility)
         inexact = np.flatnonzero(wrong & open_to_excuse & ~some.is_broken)
-        claims, t_max = claims_of(some.rows(inexact), packed), np.full(len(inexact), np.inf)
-        bracket = Bracket(self.ready.model, answer.ku, ours=not reference)
-        bracketed = bracket.judge(exact.o[inexact], exact.d[inexact], t_max, claims)
+        claims = claims_of(some.rows(inexact), exact.model.packed)
+        bracket = Bracket(exact.model, side)
+        bracketed = bracket.judge(endless(exact.o[inexact], exact.d[inexact]), claims)
         excused = inexact[(bracketed.allowed & ~(claims.t <= 0.0)) | bracketed.open]
         wrong[excused] = False
         all_wrong = answer.hit != self.hit
@@ -214,9 +216,9 @@ class Scorer:
         if not len(place):
             return f"{given}finite, within a closed mesh"
         t, here = self.exact.t[place], answer.rows(self.rows)
-        if here.n is not None and self.exact.ratios(replace(here, n=None), ours=True)[place[0]] <= 1.0:
+        if here.n is not None and self.exact.ratios(replace(here, n=None), Side(answer.ku))[place[0]] <= 1.0:
             prim = np.array([self.exact.answers[place[0]].prim])
-            right = self.exact.near(place, prim, t, answer.ku, ours=True).n[0]
+            right = self.exact.near(place, prim, t, Side(answer.ku)).n[0]
             given, expected = (format_numbers(n) for n in (here.n[place[0]], right))
             return f"ray {ray}: its t is right; normal of the answer: ({given}); expected: ({expected})"
         return f"{given}{t_text(float(t[0]))}"
@@ -428,8 +430,8 @@ def score_setting(
         adjudicated=len(scorer.rows),
         hits=int(scorer.hit.sum()),
         ties=sum(len(answer.prims) > 1 for answer in scorer.exact.answers),
-        bound32=scorer.bound(KU, ours=False),
-        bound64=scorer.bound(KU_OURS, ours=True),
+        bound32=scorer.bound(REFERENCE_SIDE),
+        bound64=scorer.bound(OUR_SIDE),
         witnesses=scores,
     )
 

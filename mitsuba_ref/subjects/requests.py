@@ -67,7 +67,7 @@ def request_answer(
     if original and not original.exact_camera and not subject.takes_rays:
         raise NoAnswer(f"an image is of the scene's camera, which the caster has not ({original.coverage.notes[0]})")
     rays = shared_rays(scene) if rays is None else rays
-    model = model_of(scene, packed, rays if whole is None else whole)
+    model = model_of(scene, rays if whole is None else whole, packed)
     with ScratchFolder() as folder:
         request = CastRequest(scene, model, rays, Path(folder))
         try:
@@ -86,7 +86,7 @@ def request_answer(
 
 def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]]:
     """(the scene as in the XML, notes on what it leaves out): Mitsuba's sensors have a far plane, which cuts planes."""
-    model = model_of(scene, packed, shared_rays(scene))
+    model = model_of(scene, shared_rays(scene), packed)
     if np.isfinite(model.boxes).all() or getattr(scene.camera, "far", 0.0) is not None:
         return scene, ()
     far = clip_planes(scene.camera, clip_range(scene, model))["far_clip"]

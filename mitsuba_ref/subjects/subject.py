@@ -18,7 +18,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_bytes
 from caster.system.terminal import printable
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.scene_model import SceneModel, Side
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -82,6 +82,11 @@ class Answer:
     @property
     def ku(self) -> float:
         return PRECISIONS[self.precision]
+
+    @property
+    def side(self) -> Side:
+        """The side that its bounds are of."""
+        return Side(self.ku, own=not self.as_exported)
 
 
 def checked_answer(

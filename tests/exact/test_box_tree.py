@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, rays_at, scene_of
 
-from caster.geometry.packing import pack
-from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, SceneModel
 from mitsuba_ref.oracle import boxes
 from mitsuba_ref.oracle.boxes import BRANCHING_FACTOR, BoxTree
 from mitsuba_ref.oracle.oracle import BOX_MARGIN
@@ -90,7 +87,7 @@ def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Scen
     if kind != "planes":
         scene = scene.model_copy(update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))})
     shared = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
-    return model_of(scene, pack(scene, as_float32), shared), o, d
+    return model_of(scene, shared), o, d
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -101,7 +98,7 @@ def test_every_possible_hit_ahead_is_near(kind):
         model, o, d = crowd(kind, [110, number], setting, 150)
         count = len(model.boxes[0])
         ray, prim = (a.ravel() for a in np.meshgrid(np.arange(len(o)), np.arange(count), indexing="ij"))
-        met = model.intersect(prim, o[ray], d[ray], KU_OURS, ours=True)
+        met = model.intersect(prim, o[ray], d[ray], OUR_SIDE)
         sure = met.pair[met.at.possible & (met.at.t > 0.0)]
         needed = set((ray[sure] * count + prim[sure]).tolist())
         given = np.concatenate([near.ray * count + near.box for near in model.nearby.crossings(o, d)])

@@ -7,7 +7,7 @@ import pytest
 
 from caster import Cylinder, Disk, EllipsoidCloud, LinearCurve, Plane, Rectangle, Scene, Sphere
 from caster.cameras.single_ray import Ray
-from mitsuba_ref.hard.rays import RayBatch, Targets
+from mitsuba_ref.hard.rays import Targets, endless
 from mitsuba_ref.judge.checks.secondary_rays import judge_origins, leaving_rays
 from mitsuba_ref.oracle.implicit_surfaces import Approximate
 from mitsuba_ref.oracle.oracle import Oracle
@@ -33,7 +33,7 @@ def leaving(shapes, o, d, w, q):
     answers = Oracle(packed).first_hits(o, d)
     prim = np.array([answer.prim for answer in answers])
     t = np.array([np.inf if answer.t is None else float(answer.t) for answer in answers])
-    return leaving_rays(scene, packed, RayBatch(o, d, np.zeros(len(o)), np.full(len(o), np.inf)), prim, t, w, q)
+    return leaving_rays(scene, packed, endless(o, d), prim, t, w, q)
 
 
 @pytest.mark.parametrize(

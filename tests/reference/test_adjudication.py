@@ -99,7 +99,7 @@ def test_a_tie_has_to_be_right_by_float64_all_the_same(send):
     judge = scene_judge(lit_scene(*COINCIDENT["balls"], materials=MATERIALS), send=without(send, "a"))
     before = judge.judge()
     tied = before.is_class("tie")
-    aov_rows(judge.pair.subject, "diffuse")[tied] += 0.1
+    aov_rows(judge.subject, "diffuse")[tied] += 0.1
     after = judge.judge()
     assert tied.sum() >= 200 and after.is_class("wrong")[tied].all()
     assert np.array_equal(after.classes[~tied], before.classes[~tied])
@@ -179,7 +179,7 @@ def cube(one_cube) -> Judge:
     """A judge whose images a test may alter."""
     pair = one_cube.pair
     images = {name: image.copy() for name, image in pair.subject.items()}
-    answer = replace(pair.answer, prim=pair.prim.copy())
+    answer = replace(pair.answer, prim=one_cube.subject_prim.copy())
     altered = replace(pair, subject=Aovs(images, pair.subject.hit.copy()), answer=answer)
     return Judge(one_cube.scene, one_cube.model, altered)
 
@@ -192,8 +192,8 @@ def test_ours_is_wrong_where_exact_arithmetic_states_it_though_both_agree(cube):
     assert len(rows) >= 10
     for row in rows:
         other = before.exact.of(row).ties[1].prim
-        cube.pair.prim[row] = other
-        aov_rows(cube.pair.subject, "prim_id")[row] = other
+        cube.subject_prim[row] = other
+        aov_rows(cube.subject, "prim_id")[row] = other
     after = Judge(cube.scene, cube.model, cube.pair).judge()
     assert all((after.ratios[name][rows] <= 1.0).all() for name in after.ratios if name != "exact")
     assert after.is_class("wrong")[rows].all() and after.is_class("wrong").sum() == len(rows)
@@ -246,7 +246,7 @@ def test_edges_disputes_and_a_sample_are_requested(brought):
     scene = lit_scene(BALL, LID, film=caster.Film(width=90, height=60))
     judge = brought(scene)
     found = judge.judge()
-    hit = judge.pair.prim >= 0
+    hit = judge.subject_prim >= 0
     asked = np.isin(np.arange(len(hit)), found.exact.rows)
     image = np.pad(hit.reshape(60, 90), 1)
     beside = np.zeros((60, 90), bool)
@@ -267,15 +267,15 @@ def test_edges_disputes_and_a_sample_are_requested(brought):
 def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
     judge = brought(shipped("every-shape", 64, 60))
     packed, kinds = judge.model.packed, set()
-    shapes = aov_rows(judge.pair.subject, "shape_id")
+    shapes = aov_rows(judge.subject, "shape_id")
     for row in (np.flatnonzero(shapes == shape)[0] for shape in np.unique(shapes[shapes >= 0])):
         alone, prims = reproducer(judge, int(row))[0], sorted(involved_prims(judge, int(row)))
         (ray,) = zip(*(getattr(shared_rays(alone), name) for name in ("o", "d", "t_max")), strict=True)
         for mine, name in zip(ray, ("o", "d", "t_max"), strict=True):
-            theirs = getattr(judge.pair.rays, name)[row]
+            theirs = getattr(judge.rays, name)[row]
             assert np.asarray(mine + 0.0).tobytes() == np.asarray(theirs + 0.0).tobytes()
         again = pack(alone, as_float32)
-        assert len(again.parts) == len(prims) and int(judge.pair.prim[row]) in prims
+        assert len(again.parts) == len(prims) and int(judge.subject_prim[row]) in prims
         for part, prim in zip(again.parts, prims, strict=True):
             kinds.add(type(part))
             shape = int(packed.shape_of(np.array([prim]))[0])

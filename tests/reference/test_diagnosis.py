@@ -51,7 +51,7 @@ def agreed(right):
 
 def answering(judge: Judge, **change) -> Judge:
     answer: Answer = replace(judge.answer, **change)
-    return Judge(judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view)
+    return Judge(judge.scene, judge.model, pair_images(judge.scene, judge.rays, answer, judge.result), judge.view)
 
 
 def causes_of(judge: Judge):

@@ -13,9 +13,10 @@ from aimed_rays import KINDS, Setting, a_tube, decades, rays_at, scene_of
 from caster.shapes import Triangle
 from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
-from mitsuba_ref.error_model.intersections import Rays, norm
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS, K
+from mitsuba_ref.error_model.intersections import norm
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE, SceneModel
+from mitsuba_ref.error_model.tolerances import K
+from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
@@ -42,20 +43,21 @@ def observe(kind: str, setting: Setting, seed: list[int], *, shapes: int, count:
     scene = scene_of(kind, rng, setting, shapes)
     o, d = rays_at(scene, rng, setting, count)
     rays = endless_rays(o, d)
-    model = model_of(scene, packed_float32(scene), rays)
+    model = model_of(scene, rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     return compared(model, witness, o, d)
 
 
 def compared(model: SceneModel, witness: ReferenceResult, o: np.ndarray, d: np.ndarray) -> Observed:
-    answer, t_max = witness.answer, np.full(len(o), np.inf)
+    answer = witness.answer
     n, sh_n, p = (a.astype(np.float64) for a in (answer.n, answer.sh_n, answer.p))
-    bracket = Bracket(model, KU, ours=False)
-    finding = bracket.judge(o, d, t_max, Claims(witness.t, witness.shape_id, n, sh_n, p))
+    bracket = Bracket(model, REFERENCE_SIDE)
+    rays = endless(o, d)
+    finding = bracket.judge(rays, Claims(witness.t, witness.shape_id, n, sh_n, p))
     rows = np.flatnonzero(witness.hit)
     prim = named(model, witness)[rows]
-    at = nearest_root(model.intersect(prim, o[rows], d[rows], KU, ours=False), witness.t[rows])
+    at = nearest_root(model.intersect(prim, o[rows], d[rows], REFERENCE_SIDE), witness.t[rows])
     resolved = np.isfinite(at.t_error)
     k = {
         "t": K * error_over_bound(np.abs(witness.t[rows] - at.t), at.t_error)[resolved],
@@ -65,8 +67,7 @@ def compared(model: SceneModel, witness: ReferenceResult, o: np.ndarray, d: np.n
     }
     everywhere = np.zeros(len(o), bool)
     everywhere[rows] = resolved
-    rays = Rays(o, d, np.zeros(len(o)), t_max)
-    certain, true_hit = (each.blocked(rays)[1] for each in (bracket, Bracket(model, KU_OURS, ours=True)))
+    certain, true_hit = (each.blocked(rays)[1] for each in (bracket, Bracket(model, OUR_SIDE)))
     judged = (at.possible[resolved], finding.allowed, finding.open)
     return Observed(witness.hit, everywhere, k, *judged, certain, true_hit)
 
@@ -156,7 +157,7 @@ def test_a_triangle_is_unresolved_where_the_rounding_of_its_corners_turns_it_rou
     scene = scene_of("triangles", np.random.default_rng(0), Setting(), 1)
     scene = scene.model_copy(update={"shapes": (Triangle(vertices=corners),)})
     rays = endless_rays(o[None], d[None])
-    model = model_of(scene, packed_float32(scene), rays)
+    model = model_of(scene, rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     found = compared(model, witness, o[None], d[None])
@@ -176,5 +177,5 @@ def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(send):
     assert 100 <= native <= 250
     away = np.full((1, 3), 1e6, np.float32)
     nowhere = SharedRays(away, away, np.ones(1, np.float32), np.zeros(1))
-    witness = trace_reference(scene, model_of(scene, packed, nowhere), nowhere, lights=False, send=send)
+    witness = trace_reference(scene, model_of(scene, nowhere), nowhere, lights=False, send=send)
     assert not isinstance(witness, Crash), witness

@@ -31,9 +31,9 @@ def first(shaded) -> Judgement:
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
 @pytest.mark.slow("each judges a scene", keep=2)
 def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name):
-    before, excused = (first.classes, first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.pair.subject.hit.ravel())
+    before, excused = (first.classes, first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.subject.hit.ravel())
     assert 50 <= excused.sum() < len(excused) // 10
-    image = aov_rows(shaded.pair.subject, name)
+    image = aov_rows(shaded.subject, name)
     kept = image.copy()
     image[excused] = 1.5 * image[excused] + 0.1
     try:

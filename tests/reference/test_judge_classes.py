@@ -13,6 +13,7 @@ from mitsuba_scenes import lit_scene, scene_judge
 import caster
 from caster.aovs import Aovs
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, sentence_by_row
@@ -47,7 +48,7 @@ def one(brought) -> Judge:
 @pytest.fixture(scope="module")
 def first(one) -> Judgement:
     found = one.judge()
-    shapes = aov_rows(one.pair.subject, "shape_id")
+    shapes = aov_rows(one.subject, "shape_id")
     assert found.is_class("agree").all() and set(np.unique(shapes)) == {-1, 0, 1, 2, 3, 4}
     assert all((found.ratios[name][shapes < 0] == 0.0).all() for name in found.ratios)
     assert all(
@@ -102,11 +103,11 @@ def move_reference(judge: Judge, name: str, share: float) -> np.ndarray:
     ours, theirs = (aov_rows(images, name) for images in (pair.subject, pair.reference))
     if name == "depth":
         off = share * at.t_error[rows]
-        theirs[rows] = ours[rows] + off * pair.length[rows]
+        theirs[rows] = ours[rows] + off * judge.length[rows]
         pair.result.t[rows] = pair.result.answer.t[rows] = judge.answer.t[rows] + off
     elif name == "uv":
         step, points = np.array([1e-6, 0.0]), judge.model.uv_points
-        moved = points(judge.prim, ours + step, ours=False) - points(judge.prim, ours, ours=True)
+        moved = points(judge.prim, ours + step, REFERENCE_SIDE) - points(judge.prim, ours, OUR_SIDE)
         per_step = np.linalg.norm(moved, axis=1)
         rows = rows[(per_step[rows] > 1e-9) & judge.model.reference_has_uv(judge.prim)[rows]]
         theirs[rows] = ours[rows] + step * (share * at.uv_error[rows] / per_step[rows])[:, None]
@@ -123,7 +124,7 @@ def move_subject(judge: Judge, name: str, share: float) -> np.ndarray:
     rows, ours = np.flatnonzero(judge.hit), aov_rows(pair.subject, name)
     if name == "depth":
         t = judge.answer.t[rows] = own.t[rows] + share * own.t_error[rows]
-        ours[rows] = t * pair.length[rows]
+        ours[rows] = t * judge.length[rows]
         aov_rows(pair.subject, "position")[rows] = judge.o[rows] + t[:, None] * judge.d[rows]
         return rows
     value, error = {
@@ -190,11 +191,11 @@ def test_light_is_wrong_where_float64_does_not_give_it_and_else_it_is_mitsubas(o
     judge = altered(one)
     rows = np.flatnonzero(judge.hit)
     if side == "subject":
-        aov_rows(judge.pair.subject, "diffuse")[rows] *= 1.0 + 1e-4
+        aov_rows(judge.subject, "diffuse")[rows] *= 1.0 + 1e-4
     else:
-        judge.pair.result.ambient[rows] += 0.01
+        judge.result.ambient[rows] += 0.01
     found = again(judge).judge()
-    lit = rows[aov_rows(one.pair.subject, "diffuse")[rows].any(axis=1)]
+    lit = rows[aov_rows(one.subject, "diffuse")[rows].any(axis=1)]
     assert len(lit) > 200 and classes_at(found, lit) == {"wrong" if side == "subject" else "reference_wrong"}
     ratio = found.ratios["diffuse"][lit]
     assert np.isinf(ratio).all() if side == "subject" else ((ratio > 1.0) & np.isfinite(ratio)).all()
@@ -206,16 +207,16 @@ def test_light_is_wrong_where_float64_does_not_give_it_and_else_it_is_mitsubas(o
 def test_a_shadow_that_is_not_there_or_missing_is_the_fault_of_who_has_it(one, light):
     """Mitsuba's answer for one light turned round, then ours: no rounding allows either away from a shadow's edge."""
     judge = altered(one)
-    unlit = judge.pair.result.unshadowed[light]
+    unlit = judge.result.unshadowed[light]
     rows = np.flatnonzero(judge.hit & judge.at.certain & (unlit > 1e-3).any(axis=1))
-    both = judge.pair.result.visible[light, rows]
+    both = judge.result.visible[light, rows]
     assert both.any() and not both.all()
-    judge.pair.result.visible[light, rows] ^= True
+    judge.result.visible[light, rows] ^= True
     found = again(judge).judge()
     assert (classes_at(found, rows) - {"explained"}) == {"reference_wrong"}
     assert found.is_class("reference_wrong")[rows].mean() > 0.9
     ours = altered(one)
-    value = aov_rows(ours.pair.subject, "diffuse")
+    value = aov_rows(ours.subject, "diffuse")
     value[rows] += np.where(both[:, None], -1.0, 1.0) * unlit[rows]
     found = again(ours).judge()
     assert (classes_at(found, rows) - {"explained", "agree"}) == {"wrong"}
@@ -227,10 +228,10 @@ def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
     """Neither a thousandth of what is allowed is a difference, nor does a thousandth of the light pass."""
     for share, expected in ((2.0**-26, "agree"), (1e-3, "reference_wrong")):
         judge = altered(one)
-        light = getattr(judge.pair.result, part)
-        total = judge.pair.result.diffuse
+        light = getattr(judge.result, part)
+        total = judge.result.diffuse
         light *= 1.0 + share
-        changed = np.abs(judge.pair.result.diffuse - total).max(axis=1)
+        changed = np.abs(judge.result.diffuse - total).max(axis=1)
         rows = np.flatnonzero(judge.hit & (changed > 0.3 * share * total.max(axis=1)) & (total > 0.0).all(axis=1))
         found = again(judge).judge()
         assert len(rows) > 50 and classes_at(found, rows) == {expected}
@@ -249,12 +250,12 @@ def set_to_miss(images: Aovs, rows: np.ndarray) -> None:
 
 def miss(judge: Judge, rows: np.ndarray) -> None:
     judge.answer.t[rows], judge.answer.prim[rows] = np.inf, -1
-    set_to_miss(judge.pair.subject, rows)
+    set_to_miss(judge.subject, rows)
 
 
 def reference_misses(judge: Judge, rows: np.ndarray) -> None:
-    judge.pair.result.t[rows] = judge.pair.result.answer.t[rows] = np.inf
-    judge.pair.result.shape_id[rows] = -1
+    judge.result.t[rows] = judge.result.answer.t[rows] = np.inf
+    judge.result.shape_id[rows] = -1
     set_to_miss(judge.pair.reference, rows)
 
 
@@ -296,8 +297,8 @@ def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault)
     diagnosis = diagnose(judge, found)
     assert all(what in cause.what for cause in diagnosis)
     assert sorted(sentence_by_row(diagnosis)) == rows.tolist()
-    counts = class_counts(found, judge.pair.any_hit)
-    assert counts[expected] == len(rows) and sum(counts.values()) == judge.pair.any_hit.sum() + (
+    counts = class_counts(found, judge.any_hit)
+    assert counts[expected] == len(rows) and sum(counts.values()) == judge.any_hit.sum() + (
         len(rows) if fault == "both miss" else 0
     )
     listed = listed_failures(judge, found, diagnosis)
@@ -308,13 +309,13 @@ def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault)
 def name_another(judge: Judge, rows: np.ndarray) -> None:
     """Make our values those of the next triangle of the same torus."""
     judge.answer.prim[rows] += 1
-    aov_rows(judge.pair.subject, "prim_id")[rows] += 1
+    aov_rows(judge.subject, "prim_id")[rows] += 1
 
 
 def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     judge = altered(one)
-    rows = np.flatnonzero((aov_rows(judge.pair.subject, "shape_id") == 3) & judge.at.certain)
-    rows = rows[aov_rows(judge.pair.subject, "prim_id")[rows] < 88]
+    rows = np.flatnonzero((aov_rows(judge.subject, "shape_id") == 3) & judge.at.certain)
+    rows = rows[aov_rows(judge.subject, "prim_id")[rows] < 88]
     name_another(judge, rows)
     found = again(judge).judge()
     assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratios["on_surface"][rows]).any()
@@ -328,7 +329,7 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, off, reported
     """No rounding excuses it, and no exact answer makes it right. Other contradictions are in compared.toml."""
     judge = altered(one)
     rows = np.flatnonzero(~judge.hit)[:12] if name == "hit" else some_of_each_shape(judge)
-    image = aov_rows(judge.pair.subject, name)
+    image = aov_rows(judge.subject, name)
     channel = rows % 3  # one is enough: each in some pixels
     image[(rows, channel) if image.ndim == 2 else rows] += off
     judge = again(judge)

@@ -61,7 +61,7 @@ def scene_of(path) -> Scene:
 def loaded_by_mitsuba(brought, folder, name, data):
     path = folder / name
     path.write_bytes(data)
-    (theirs,) = brought(scene_of(path)).pair.result.answer.meshes
+    (theirs,) = brought(scene_of(path)).result.answer.meshes
     return path, theirs
 
 

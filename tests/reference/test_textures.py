@@ -56,7 +56,7 @@ def test_every_pixel_agrees(texture, variant, monkeypatch):
     found = judge.judge()
     assert judge.result.answer.versions["variant"] == variant
     assert found.is_class("agree", "explained").all() and found.is_class("agree").mean() > 0.98
-    assert len(np.unique(aov_rows(judge.pair.subject, "albedo"), axis=0)) > 1
+    assert len(np.unique(aov_rows(judge.subject, "albedo"), axis=0)) > 1
 
 
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0.2], [1, 1, 0], [-1, 1, 0.1]])
@@ -75,10 +75,10 @@ def test_colours_of_meshes_agree_at_every_pixel(colors, uv, variant, monkeypatch
     judge = scene_judge(wall(colors).model_copy(update={"shapes": (ball, caster.Mesh(CORNERS, FACES, uv=uv, **mesh))}))
     found = judge.judge()
     assert found.is_class("agree", "explained").all() and found.is_class("agree").mean() > 0.98
-    albedo, prim = (aov_rows(judge.pair.subject, name) for name in ("albedo", "prim_id"))
+    albedo, prim = (aov_rows(judge.subject, name) for name in ("albedo", "prim_id"))
     assert len(np.unique(albedo, axis=0)) > (100 if colors.faces is None else 2)
     if colors.faces is not None:
-        seen = aov_rows(judge.pair.subject, "shape_id") == 1
+        seen = aov_rows(judge.subject, "shape_id") == 1
         assert np.array_equal(albedo[seen], np.array(COLORS)[prim[seen]])
 
 

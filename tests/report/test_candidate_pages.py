@@ -42,14 +42,13 @@ def test_the_inspector_has_the_candidates_numbers_to_the_bit(visit, report, judg
     page = visit(report).page
     for name, layers in {"inside": ("depth", "normal"), "single": ("depth",)}.items():
         seen, precision = judged[name].seen, judged[name].precision
-        row = int(np.flatnonzero(seen.judge.pair.subject.hit.ravel())[0])
+        row = int(np.flatnonzero(seen.judge.subject.hit.ravel())[0])
         page.evaluate(f"location.hash = '{place(name, row, 'depth')}'")
         page.wait_for_selector("#pixel section:has-text('Not given by the candidate')")
         page.wait_for_selector(f"#pixel section >> text=/\u00d7 {precision}\u2019s bound/")
         for layer in layers:
             sides = [
-                np.atleast_1d(aov_rows(aovs, layer)[row])
-                for aovs in (seen.judge.pair.subject, seen.judge.pair.reference)
+                np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (seen.judge.subject, seen.judge.pair.reference)
             ]
             text = section(page, layer).inner_text()
             assert NUMBERS.findall(text) == [float(value).hex() for value in np.column_stack(sides).ravel()]

@@ -65,7 +65,7 @@ def test_a_ratio_is_of_rays_at_the_same_moment(other, ratio):
 @pytest.fixture(scope="module", params=["grazing-plane", "one-sphere"])
 def exact(request, tmp_path_factory) -> ExactHits:
     ready = write_scene(BY_NAME[request.param], tmp_path_factory.mktemp("scene"), 16)
-    return ExactHits(ready, ready.o[::3], ready.d[::3])
+    return ExactHits(ready.model, ready.o[::3], ready.d[::3])
 
 
 def test_exact_answers_are_right_and_errors_are_counted_as_what_they_are(exact):

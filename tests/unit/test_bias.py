@@ -15,7 +15,7 @@ from caster.shapes import SHAPES
 from caster.shapes.linear_curve import RoundSegments
 from mitsuba_ref.error_model.intersections import SAME_NORMAL_TOLERANCE, by_approach, by_matrix, by_normal, single_group
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
-from mitsuba_ref.judge.checks.bias import check_bias, untied, z_of_groups
+from mitsuba_ref.judge.checks.bias import check_bias, kind_biases, untied, z_of_groups
 from mitsuba_ref.judge.verdict import KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.verdict_text import failure_text
 from mitsuba_ref.shapes import KINDS
@@ -102,6 +102,36 @@ def test_a_primitive_whose_ties_outweigh_chance_is_no_evidence_and_others_are():
     assert untied(prim, kind, ties[:14], ties[:14]).all()
     assert np.array_equal(untied(prim, kind, ties[:15], ties[:15]), prim != 0)
     assert untied(prim, kind, ties[:0], ties[:0]).all()
+
+
+@pytest.mark.parametrize(("off", "biased"), [(0.0, False), (0.4, True)])
+def test_excused_pixels_are_no_evidence_and_hide_no_bias_of_the_others(off, biased):
+    """A tiny ellipsoid is seen only where rounding made a discriminant positive: those errors all have one sign."""
+    rng, count = np.random.default_rng(5), 400
+    scene = load_scene(SCENES / "one-sphere.toml")
+    d = np.column_stack([rng.uniform(-0.2, 0.2, (count, 2)), -np.ones(count)])  # t differs at each closest approach
+    chance = rng.choice([-0.5, 0.5], count) + off
+    excused = np.arange(count) % 2 == 0
+    hit, zero, one = np.ones(count, bool), np.zeros(count), np.ones(count)
+    judge = SimpleNamespace(
+        scene=scene,
+        model=SimpleNamespace(packed=pack(scene, as_float32)),
+        answer=SimpleNamespace(t=one),
+        result=SimpleNamespace(
+            t=1.0 + np.where(excused, np.abs(chance), chance),
+            hit=hit,
+            answer=SimpleNamespace(versions={"variant": "scalar_rgb"}),
+        ),
+        at=SimpleNamespace(t_error=one, n_error=one),
+        own=SimpleNamespace(n=d),
+        o=np.zeros((count, 3)),
+        d=d,
+        prim=np.zeros(count, np.int32),
+        sides=lambda name: (zero, zero),
+        distance=lambda name: zero,
+    )
+    assert not check_bias(kind_biases(judge, ~hit)).ok
+    assert check_bias(kind_biases(judge, excused)).ok is not biased
 
 
 # ---- what is recorded and checked ----

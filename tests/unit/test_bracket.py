@@ -18,9 +18,10 @@ from mitsuba_ref.error_model.bracket import (
 )
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.intersections import Intersections, Rays, unit
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE, SceneModel, Side
+from mitsuba_ref.error_model.tolerances import KU, U32
+from mitsuba_ref.hard.rays import endless
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = -UP
@@ -31,11 +32,11 @@ RIGHT, LEFT = Triangle(name="right", vertices=(A, B, C)), Triangle(name="left", 
 
 def modelled(shapes: list[Any], o: Any, d: Any) -> SceneModel:
     scene = scene_of(*shapes)
-    return model_of(scene, packed_float32(scene), endless_rays(np.atleast_2d(o), np.atleast_2d(d)))
+    return model_of(scene, endless_rays(np.atleast_2d(o), np.atleast_2d(d)))
 
 
 def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket:
-    return Bracket(modelled(shapes, o, d), KU_OURS if ours else KU, ours=ours)
+    return Bracket(modelled(shapes, o, d), OUR_SIDE if ours else REFERENCE_SIDE)
 
 
 def judged(
@@ -54,7 +55,7 @@ def judged(
     o, d, n = (np.asarray(v, float)[None] for v in (o, d, n))
     p = o + (t if np.isfinite(t) else 0.0) * d
     claims = Claims(np.array([t]), np.array([shape]), n, n, p)
-    return bracket(shapes, o, d, ours=ours).judge(o, d, np.array([t_max]), claims, t_min=t_min)
+    return bracket(shapes, o, d, ours=ours).judge(Rays(o, d, np.array([t_min]), np.array([t_max])), claims)
 
 
 def allows(*args: Any, **kwargs: Any) -> bool:
@@ -156,10 +157,10 @@ def test_a_primitive_is_looked_at_beyond_its_box_if_it_is_named():
     thin = Cylinder(to_world=[{"scale": [1e-6, 1.0, 1e-6]}, {"rotate": {"axis": [1, 0, 0], "degrees": 30}}])
     o, d = np.array([[0.0, 6.0, 5.0]]), DOWN[None]
     claims = Claims(np.array([5.0]), np.array([0]), UP[None], UP[None], o + 5.0 * d)
-    judge = Bracket(modelled([thin], o, d), WIDENED_BOUNDS_FACTOR * KU, ours=False).judge
-    assert not judge(o, d, np.array([np.inf]), claims).allowed[0]
-    assert judge(o, d, np.array([np.inf]), claims, also=np.array([0])).allowed[0]
-    assert not judge(o, d, np.array([np.inf]), claims, also=np.array([-1])).allowed[0]
+    judge = Bracket(modelled([thin], o, d), Side(WIDENED_BOUNDS_FACTOR * KU, own=False)).judge
+    assert not judge(endless(o, d), claims).allowed[0]
+    assert judge(endless(o, d), claims, also=np.array([0])).allowed[0]
+    assert not judge(endless(o, d), claims, also=np.array([-1])).allowed[0]
 
 
 @pytest.mark.parametrize("t", [4.0 + 1e-4, 4.0 - 1e-4, np.nan, -4.0, 0.0])
@@ -180,12 +181,12 @@ def test_a_shape_that_is_not_there_is_refused():
 
 
 def test_each_part_of_a_claim_counts():
-    o, d, t_max = np.array([ABOVE]), DOWN[None], np.array([np.inf])
+    o, d = np.array([ABOVE]), DOWN[None]
     good = Claims(np.array([4.0]), np.array([0]), UP[None], UP[None], UP[None])
     judge = bracket([BALL], o, d).judge
-    assert judge(o, d, t_max, good).allowed[0]
+    assert judge(endless(o, d), good).allowed[0]
     for change in ({"p": UP[None] * 1.0001}, {"sh_n": DOWN[None]}, {"p": np.full((1, 3), np.nan)}):
-        assert not judge(o, d, t_max, good._replace(**change)).allowed[0], change
+        assert not judge(endless(o, d), good._replace(**change)).allowed[0], change
 
 
 def test_a_triangle_seen_edge_on_leaves_open_where_it_is_hit_and_nothing_else():
@@ -212,7 +213,7 @@ def test_shadow_rays_do_not_count_the_surface_they_leave():
     """From a point of a ball to the outside nothing blocks; through the ball, its far side does."""
     o = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     d = np.array([[0.1, 0.0, 1.0], [0.1, 0.0, -1.0]])
-    rays = Rays(o, d, np.zeros(2), np.full(2, np.inf))
+    rays = endless(o, d)
     alone = bracket([BALL], o, d, ours=True)
     possible, certain = alone.blocked(rays, leaving=START)
     assert possible.tolist() == certain.tolist() == [False, True]
@@ -227,9 +228,7 @@ def test_only_the_meeting_at_the_start_is_left_out():
     """Seen from inside, the far wall of the ball is no start of it, even where nothing else of the ball is met."""
     o, d = np.array([[0.0, 0.0, 0.999]]), np.array([[0.0, 0.0, -1.0]])
     inside = bracket([BALL], o, d, ours=True)
-    possible, certain = inside.blocked(
-        Rays(o, d, np.zeros(1), np.full(1, np.inf)), leaving=(np.array([0]), np.array([1e-15]))
-    )
+    possible, certain = inside.blocked(endless(o, d), leaving=(np.array([0]), np.array([1e-15])))
     assert possible[0] and certain[0]
 
 
@@ -243,7 +242,7 @@ def test_a_closed_mesh_has_no_hole_for_rays_from_inside(aim):
     d, count = as_float32(targets - o), len(targets)
     nothing = Claims(np.full(count, np.inf), np.full(count, -1), 0 * d, 0 * d, 0 * d)
     assert count == 320
-    assert not bracket([ball], o, d).judge(o, d, nothing.t, nothing).allowed.any()
+    assert not bracket([ball], o, d).judge(endless(o, d), nothing).allowed.any()
 
 
 def met(t: float, t_error: float, *, certain: bool = True) -> RayIntersections:
@@ -266,7 +265,7 @@ def met(t: float, t_error: float, *, certain: bool = True) -> RayIntersections:
 )
 def test_a_certain_hit_is_one_that_is_in_range_with_its_whole_bound(t_min, t_max, certain, latest):
     """At t = 2 +- 1/2; the range is t_min < t <= t_max."""
-    found = latest_hits(met(2.0, 0.5, certain=certain), np.array([t_max]), np.array([t_min]))
+    found = latest_hits(met(2.0, 0.5, certain=certain), Rays(UP, UP, np.array([t_min]), np.array([t_max])))
     assert found.tolist() == [latest]
 
 
@@ -314,8 +313,8 @@ def test_a_possible_hit_is_never_too_far_off_to_be_considered(make, size, far):
         off = size * 10.0 ** rng.uniform(-3.0, 4.0, (100, 1)) * unit(rng.normal(size=(100, 3)))
         d = unit(matrix[:3, 3] + off - o)
         model = modelled([make(matrix.tolist())], o, d)
-        near = np.hstack([*model.near_pairs(o, d, ours=False)])
-        found = model.intersect(np.zeros(100, np.int64), o, d, KU, ours=False)
+        near = np.hstack([*model.near_pairs(o, d, blurred=True)])
+        found = model.intersect(np.zeros(100, np.int64), o, d, REFERENCE_SIDE)
         hit = found.pair[found.at.possible]
         assert set(hit) <= set(near[0])
         possible += len(set(hit))

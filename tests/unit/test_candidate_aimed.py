@@ -5,9 +5,8 @@ import pytest
 from aimed_rays import KINDS, Setting, rays_at, scene_of
 
 from mitsuba_ref.error_model.intersections import norm, unit
-from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.error_model.tolerances import KU_OURS
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, SceneModel, UncertainRaysModel
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them
 SETTINGS = (Setting(), Setting(distances=(0.5, 3.0)), Setting(slopes=(1e-4, 1e-2)), Setting(edges=1.0))
@@ -25,7 +24,7 @@ def cases(kind: str, seed: int) -> tuple[SceneModel, np.ndarray, np.ndarray, np.
     rng = np.random.default_rng([120, seed])
     scene = scene_of(kind, rng, SETTINGS[seed], 1 if kind == "meshes" else 40)
     o, d = rays_at(scene, rng, SETTINGS[seed], 600)
-    model = model_of(scene, packed_float32(scene), endless_rays(o, d))
+    model = model_of(scene, endless_rays(o, d))
     near = rng.integers(0, len(model.boxes[0]), (8, len(o)))
     ray, prim = np.tile(np.arange(len(o)), 8), near.ravel()
     return model, prim, o[ray], d[ray]
@@ -48,10 +47,10 @@ def test_whatever_rays_a_camera_shoots_their_hits_are_within_the_widened_bounds(
     held, hits, beside = 0, 0, 0
     for seed in range(len(SETTINGS)):
         model, prim, o, d = cases(kind, seed)
-        wide = aimed(model).intersect(prim, o, d, KU_OURS, ours=True).at
+        wide = aimed(model).intersect(prim, o, d, OUR_SIDE).at
         rng = np.random.default_rng([121, seed])
         for _ in range(4):
-            at = model.intersect(prim, *another(o, d, rng), KU_OURS, ours=True).at
+            at = model.intersect(prim, *another(o, d, rng), OUR_SIDE).at
             ahead = (wide.t > 0.0) & (at.t > 0.0)
             assert not np.any(ahead & wide.certain & ~at.possible), "a miss that was held to be impossible"
             beside += int((ahead & at.certain & ~wide.possible).sum())
@@ -67,7 +66,7 @@ def test_whatever_rays_a_camera_shoots_their_hits_are_within_the_widened_bounds(
 def test_the_widened_bound_is_a_few_times_what_rays_need(kind):
     """A bound that holds everything would hold this, too."""
     model, prim, o, d = cases(kind, 0)
-    pair, wide = aimed(model).intersect(prim, o, d, KU_OURS, ours=True)
+    pair, wide = aimed(model).intersect(prim, o, d, OUR_SIDE)
     d = d[pair]
     rows = wide.certain & np.isfinite(wide.t_error)
     cosine = np.abs((wide.n * unit(d)).sum(axis=1))[rows]

@@ -8,10 +8,11 @@ import caster
 from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
-from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE
+from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.defect_lookup import defect_features
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 
 CORNERS = ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 SHAPES = (
@@ -25,22 +26,23 @@ BALL, LID = 1, 2
 def measured(o, d, *, t=None, prim=-1, shape=None, n=None, off=0.0):
     """Features of one ray and the reference's claim about it: the primitive's own values, t off by so many bounds."""
     scene = scene_of(*SHAPES)
-    rays, packed = endless_rays(np.array([o]), np.array([d])), packed_float32(scene)
-    model, oracle = model_of(scene, packed, rays), Oracle(packed)
+    rays = endless_rays(np.array([o]), np.array([d]))
+    model = model_of(scene, rays)
+    oracle = Oracle(model.packed)
     o, d = rays.o.astype(float), rays.d.astype(float)
     answers = oracle.first_hits(o, d)
     claims = Claims(np.array([np.inf]), np.array([CLAIMED_MISS]), *np.zeros((3, 1, 3)))
     if prim >= 0:
         guess = np.array([float(answers[0].t) if answers[0].t is not None else 1.0])
         at = nearest_root(
-            model.intersect(np.array([prim]), o, d, KU, ours=False), guess if t is None else np.array([t])
+            model.intersect(np.array([prim]), o, d, REFERENCE_SIDE), guess if t is None else np.array([t])
         )
         claimed = at.t + off * at.t_error if t is None else np.array([t])
         p = o + claimed[:, None] * d
         claims = Claims(claimed, np.array([prim if shape is None else shape]), at.n, at.sh_n, p)
     if n is not None:
         claims = claims._replace(n=np.array([n]))
-    (found,) = defect_features(model, oracle, (o, d, np.array([np.inf])), claims, answers, np.array([prim]))
+    (found,) = defect_features(model, oracle, endless(o, d), claims, answers, np.array([prim]))
     return found
 
 

@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError
-from caster.geometry.packing import pack
+from caster.geometry.packing import pack, packed
 from caster.rendering.hits import cast
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz import cases, checks
 from mitsuba_ref.fuzz.cases import case_of, ray_of, scene_data
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, adjudicate, check_image, check_rays, check_surfaces
@@ -20,8 +21,7 @@ from mitsuba_ref.fuzz.fuzz_run import Example, check_example
 from mitsuba_ref.fuzz.shrink import Shrinker
 from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.family import scene_of
-from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
+from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.shapes import KINDS
@@ -87,16 +87,17 @@ RIGHT = [2.0, 2.0, 2.0, np.inf], [0, 0, 0, -1]
 
 def rays(t_min=0.0, t_max=np.inf):
     o = np.column_stack([AT, np.full(4, -2.0)])
-    return RayBatch(o, np.tile([0.0, 0.0, 1.0], (4, 1)), np.full(4, t_min), np.full(4, t_max))
+    return Rays(o, np.tile([0.0, 0.0, 1.0], (4, 1)), np.full(4, t_min), np.full(4, t_max))
 
 
 @pytest.fixture(scope="module")
 def subject():
-    return prepared_scene(Scene.model_validate(SCENE))
+    scene = Scene.model_validate(SCENE)
+    return scene, Oracle(packed(scene))
 
 
 def found_by(subject, t, prim, tally=None):
-    findings = adjudicate(subject, rays(), NearestHits(np.array(t), np.array(prim)), tally or Tally())
+    findings = adjudicate(subject[1], rays(), NearestHits(np.array(t), np.array(prim)), tally or Tally())
     return [(int(np.flatnonzero((rays().o == f.ray.o[0]).all(axis=1))[0]), f.kind) for f in findings]
 
 
@@ -105,9 +106,9 @@ def test_the_caster_itself_is_right_about_this_square(subject):
     assert found_by(subject, *RIGHT, tally) == []
     assert (tally.rays, tally.hits, tally.edges, tally.ties) == (4, 3, 1, 3)
     tally = Tally()
-    assert check_rays(subject, rays(), tally, np.random.default_rng(1)) == []
+    assert check_rays(*subject, rays(), tally, np.random.default_rng(1)) == []
     assert tally.rays == 4 + 3, "three hits are cast again with limits"
-    assert check_image(subject, tally) == [] and tally.rays == 4 + 3 + 16
+    assert check_image(*subject, tally) == [] and tally.rays == 4 + 3 + 16
 
 
 @pytest.mark.parametrize(
@@ -138,7 +139,7 @@ def test_a_limit_at_the_hit_is_compared_exactly(subject):
     """A hit at t = 2 lies within t <= 2 and without t > 2."""
     ours = NearestHits(*(np.array(column) for column in RIGHT))
     for limits, kinds in (((0.0, 2.0), []), ((2.0, np.inf), 3 * ["phantom"]), ((np.nextafter(2.0, 0.0), 2.0), [])):
-        assert [finding.kind for finding in adjudicate(subject, rays(*limits), ours, Tally())] == kinds
+        assert [finding.kind for finding in adjudicate(subject[1], rays(*limits), ours, Tally())] == kinds
 
 
 def test_a_bit_between_two_cullings_is_found(subject, monkeypatch):
@@ -147,19 +148,19 @@ def test_a_bit_between_two_cullings_is_found(subject, monkeypatch):
         return found if culling == "bvh" else NearestHits(np.nextafter(found.t, 0.0), found.prim)
 
     monkeypatch.setattr(checks, "cast_by_culling", off_by_a_bit)
-    kinds = [finding.kind for finding in check_rays(subject, rays(), Tally())]
+    kinds = [finding.kind for finding in check_rays(*subject, rays(), Tally())]
     assert kinds == 4 * ["culling"], "t of a miss counts, too"
 
 
 def test_a_failing_check_of_the_image_is_found(subject, monkeypatch):
     failing = SceneCheck("scaling", np.inf, "other bits")
     monkeypatch.setattr(checks.registry, "make_checks", lambda *_: (failing, SceneCheck("culling", 0.0, "")))
-    (finding,) = check_image(subject, Tally())
+    (finding,) = check_image(*subject, Tally())
     assert (finding.mode, finding.what) == (("check", "scaling"), "scaling: other bits")
 
 
 def test_a_normal_of_another_length_is_found(subject):
-    hits = cast(subject.scene, rays().o, rays().d)
+    hits = cast(subject[0], rays().o, rays().d)
     hits.surfaces["normal"][1] *= 1.0 + 2.0**-40
     (finding,) = check_surfaces(hits, rays())
     assert finding.kind == "surface" and np.array_equal(finding.ray.o[0], rays().o[1])
@@ -175,7 +176,7 @@ FOUND_BY = "--seed 1 --family any --examples 2..2"
 
 
 def ray_along(o, d, t_min=0.0, t_max=np.inf):
-    return RayBatch(*(np.array([value]) for value in (o, d, t_min, t_max)))
+    return Rays(*(np.array([value]) for value in (o, d, t_min, t_max)))
 
 
 ALONG_Z = ray_along([0.0] * 3, [0.0, 0.0, 1.0])
@@ -289,7 +290,7 @@ def hits_something(case):
 def test_a_mesh_shrinks_to_one_triangle(number):
     tried = Example(7, number, BY_NAME["edges"])
     given_rays = tried.rays(pack(tried.made.scene()))
-    batches = [given_rays.taken(slice(i, i + 1)) for i in range(len(given_rays.t_min))]
+    batches = [given_rays.take([i]) for i in range(len(given_rays.t_min))]
     ray = next(each for each in batches if hits_something(case_of(tried.made.data, each)))
     shrinker = Shrinker(case_of(tried.made.data), Finding("prim", "it is hit", ray), hits_something)
     shrinker.run()

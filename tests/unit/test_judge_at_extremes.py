@@ -15,13 +15,14 @@ from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
 from mitsuba_ref.cameras.camera_reference import ClipRange, clip_planes
 from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import Claims
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE, SceneModel
+from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks.render import CHECKED_AOVS, _within_float64, check_render
 from mitsuba_ref.judge.checks.shapes import check_geometry
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of
 from mitsuba_ref.shapes import disk, surface_errors
 from mitsuba_ref.subjects.subject import cast_ours
 
@@ -89,7 +90,7 @@ def modelled(shape: Any, o: np.ndarray, d: np.ndarray) -> tuple[Scene, SharedRay
     """The judge's view of one shape and some rays (n, 3), in float32."""
     rays = endless_rays(np.atleast_2d(o), np.atleast_2d(d))
     scene = scene_of(shape, film={"width": len(rays.o), "height": 1})
-    return scene, rays, model_of(scene, packed_float32(scene), rays)
+    return scene, rays, model_of(scene, rays)
 
 
 def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():
@@ -103,7 +104,7 @@ def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():
     view = cast_ours(scene, rays)
     hit = view.nearest.prim == 0
     o, d, prim = o[hit], rays.d[hit].astype(float), np.zeros(hit.sum(), int)
-    at = model.intersect(prim, o, d, KU_OURS, ours=True).at
+    at = model.intersect(prim, o, d, OUR_SIDE).at
     (bare,) = surface_errors.intersect(model.kinds[0], prim, o, d, KU_OURS)
     point = o + view.nearest.t[hit, None] * d
     away = np.linalg.norm(view.position[hit] - point, axis=1)
@@ -127,7 +128,7 @@ def test_our_position_under_a_matrix_of_large_condition_is_within_its_bound(kind
     hit = np.flatnonzero(view.nearest.prim == 0)
     o, d, t = rays.o[hit].astype(float), rays.d[hit].astype(float), view.nearest.t[hit]
     prim = np.zeros(len(hit), int)
-    at = nearest_root(model.intersect(prim, o, d, KU_OURS, ours=True), t)
+    at = nearest_root(model.intersect(prim, o, d, OUR_SIDE), t)
     away = np.linalg.norm(view.position[hit] - (o + t[:, None] * d), axis=1)
     assert len(hit) >= 150
     assert (away <= at.p_error).all()
@@ -145,7 +146,7 @@ def test_a_plane_whose_patch_has_no_area_leaves_its_normal_open():
     o = np.array([[-2.6e9, 4.8e10, 3.6e11]])
     plane = Plane(point=o[0] + 20.0, normal=(-0.04, -0.89, 0.456))
     _, rays, model = modelled(plane, o, [[0.0, 0.6, -0.8]])
-    at = model.intersect(np.array([0]), rays.o.astype(float), rays.d.astype(float), KU, ours=False).at
+    at = model.intersect(np.array([0]), rays.o.astype(float), rays.d.astype(float), REFERENCE_SIDE).at
     assert np.isinf(at.t_error).all() and np.isinf(at.n_error).all()
 
 
@@ -155,9 +156,9 @@ def test_a_plane_whose_patch_has_no_area_leaves_its_normal_open():
 def measured(shape: Any, o: Any, d: Any, t: float, n: Any, p: Any) -> int | None:
     """The case of a pixel where Mitsuba gives the shape this t, normal and position."""
     _, rays, model = modelled(shape, o, d)
-    line = rays.o.astype(float), rays.d.astype(float), rays.t_max.astype(float)
+    line = endless(rays.o.astype(float), rays.d.astype(float))
     oracle = Oracle(model.packed)
-    answers = [oracle.first_hit(line[0][0].tolist(), line[1][0].tolist())]
+    answers = [oracle.first_hit(line.o[0].tolist(), line.d[0].tolist())]
     n, p = (np.asarray(v, float)[None] for v in (n, p))
     claims = Claims(np.array([t]), np.array([0]), n, n, p)
     (found,) = defect_features(model, oracle, line, claims, answers, np.array([0]))

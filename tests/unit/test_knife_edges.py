@@ -5,10 +5,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from caster.geometry.packing import packed
 from caster.scene.model import Scene
 from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks import knife_edges as module
-from mitsuba_ref.judge.checks.knife_edges import cast_by_culling, check_knife_edges, prepared_scene, rays_at_edges
+from mitsuba_ref.judge.checks.knife_edges import cast_by_culling, check_knife_edges, rays_at_edges
+from mitsuba_ref.oracle.oracle import Oracle
 
 SHAPES = [
     {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": 0.5},
@@ -24,16 +26,15 @@ def scene_of(shapes=SHAPES, size=16):
 
 
 def test_rays_depend_on_the_geometry_alone():
-    first, second = (rays_at_edges(prepared_scene(scene_of())) for _ in range(2))
-    moved = rays_at_edges(prepared_scene(scene_of([*SHAPES[1:], {"type": "sphere", "radius": 0.25}])))
+    first, second = (rays_at_edges(scene_of()) for _ in range(2))
+    moved = rays_at_edges(scene_of([*SHAPES[1:], {"type": "sphere", "radius": 0.25}]))
     assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
     assert not np.array_equal(first.d, moved.d)
 
 
 def test_many_rays_hit_edges_rims_and_tangents_of_every_shape():
-    subject = prepared_scene(scene_of(size=40))
-    rays = rays_at_edges(subject)
-    hits = [hit for answer in subject.oracle.first_hits(*rays) for hit in answer.ties]
+    scene = scene_of(size=40)
+    hits = [hit for answer in Oracle(packed(scene)).first_hits(*rays_at_edges(scene)) for hit in answer.ties]
     assert {hit.prim for hit in hits} == {0, 1, 2, 3}
     assert sum(hit.where != "inside" for hit in hits) >= 20
 
@@ -63,25 +64,23 @@ def test_nothing_to_aim_at_is_no_failure():
 
 def test_directions_too_short_or_long_to_square_give_the_bits_of_t_that_they_have_themselves():
     """t of a direction 2^-k as long is 2^k times as large; also where t is denormal for the scaled direction."""
-    packed = prepared_scene(scene_of()).packed
+    numbers = packed(scene_of())
     plain = np.array([[0.01 * k, 0.02, -1.0] for k in range(-8, 9)])
     o = np.tile([0.0, 0.0, 5.0], (len(plain), 1))
 
-    expected = cast_by_culling(packed, endless(o, plain), "brute-force")
+    expected = cast_by_culling(numbers, endless(o, plain), "brute-force")
     assert (expected.prim >= 0).all()
     for power in (-900, -300, 0, 300, 900):
-        found = cast_by_culling(packed, endless(o, np.ldexp(plain, power)), "brute-force")
+        found = cast_by_culling(numbers, endless(o, np.ldexp(plain, power)), "brute-force")
         assert np.array_equal(found.prim, expected.prim)
         assert np.array_equal(found.t, np.ldexp(expected.t, -power))
 
 
 def test_a_hit_so_near_that_the_scaled_t_is_denormal_keeps_the_bits_of_t():
-    packed = prepared_scene(
-        scene_of([{**SHAPES[1], "vertices": [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]]}])
-    ).packed
+    numbers = packed(scene_of([{**SHAPES[1], "vertices": [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]]}]))
     for power in (-900, -400):
         d = np.ldexp([[0.01, 0.02, -0.7], [0.0, -0.03, -0.9]], power)
         o = np.tile([0.125, 0.0625, 3.0 * 2.0**-1060], (2, 1))
-        found = cast_by_culling(packed, endless(o, d), "brute-force")
+        found = cast_by_culling(numbers, endless(o, d), "brute-force")
         expected = [float(Fraction(3) / 2**1060 / -Fraction(float(z))) for z in d[:, 2]]
         assert found.t.tolist() == pytest.approx(expected, rel=1e-14, abs=0.0)

@@ -9,7 +9,7 @@ from places import ROOT
 
 from caster.scene.files import load_scene
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE
 from mitsuba_ref.reference.shared_input import own_model, packed_float32
 
 PAGE = method_pixel.PAGE.read_text(encoding="utf-8")
@@ -27,7 +27,7 @@ def test_the_judge_has_the_same_bound_as_the_formulas_of_the_page():
     o, d, corners = method_pixel.ray_and_corners()
     it = method_pixel.bound(o, d, corners)
     model = own_model(packed_float32(load_scene(ROOT / method_pixel.SCENE)))
-    at = intersections_at(model, np.array([method_pixel.SHAPE]), o[None], d[None], np.array([it.t]), KU, ours=False)
+    at = intersections_at(model, np.array([method_pixel.SHAPE]), o[None], d[None], np.array([it.t]), REFERENCE_SIDE)
     assert at.t[0] == pytest.approx(it.t, rel=1e-14)
     assert at.t_error[0] == pytest.approx(it.t_error, rel=1e-12)
 

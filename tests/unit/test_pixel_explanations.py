@@ -3,12 +3,21 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.aggregate import defect_counts, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
+from mitsuba_ref.judge.comparison import reference_prims
 from mitsuba_ref.judge.diagnosis import Cause, failing_rows, sentence_by_row
-from mitsuba_ref.judge.explanations import format_exact, full_reason, reason, tie_members
+from mitsuba_ref.judge.explanations import (
+    QUANTITY_NAMES,
+    exceeded_bounds,
+    format_exact,
+    full_reason,
+    reason,
+    tie_members,
+)
 
 INF = np.inf
 
@@ -40,6 +49,26 @@ def test_what_is_beyond_its_bound_is_said_with_its_factor():
     )
     assert full_reason(judge, judgement, {0: "why"}, 0) == "why; beyond their bounds: depth 3x, normal"
     assert full_reason(judge, judgement, {1: "why"}, 1) == "why"
+
+
+@pytest.mark.parametrize(
+    ("ratios", "told"),
+    [
+        ({}, ""),
+        ({"t": 1.0, "normal": 0.0}, ""),  # a bound that is just reached is kept
+        ({"t": np.nextafter(1.0, 2.0)}, "beyond its bound: {t} 1x"),
+        ({"t": 2.5, "normal": 0.5}, "beyond its bound: {t} 2.5x"),
+        ({"t": 2.5, "normal": 1234.5}, "beyond their bounds: {t} 2.5x, {normal} 1.23e+03x"),
+        ({"t": INF}, "beyond its bound: {t}"),
+        ({"t": np.nan}, "beyond its bound: {t}"),  # what is no number is not within
+        ({"exact": INF}, "beyond its bound: {exact}"),
+        ({"exact": INF, "t": 3.0}, "beyond its bound: {t} 3x"),
+        ({"exact": 4.0, "t": 3.0}, "beyond their bounds: {exact} 4x, {t} 3x"),
+    ],
+)
+def test_what_exceeds_its_bound_is_reported_with_its_factor(ratios, told):
+    names = {name: QUANTITY_NAMES.get(name, name) for name in ("t", "normal", "exact")}
+    assert exceeded_bounds(ratios) == told.format(**names)
 
 
 def test_an_explained_pixel_is_a_shadow_where_light_is_compared_and_differs():
@@ -104,3 +133,12 @@ def test_listed_failures_begin_with_one_of_each_cause(monkeypatch):
     ratio[:] = ratio[::-1].copy()
     assert listed_failures(ours, judgement, causes)[:3] == (6, 5, 4)
     assert listed_failures(theirs, judgement, causes)[:3] == (1, 0, 5)
+
+
+def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the_first():
+    model = SimpleNamespace(packed=SimpleNamespace(first=np.array([0, 1, 5, 6])))
+    shape, prim = np.array([0, 1, 1, 1, 2, 2, -1, 1]), np.array([0, 0, 3, 4, 7, 0, 2, 1])
+    hit = np.array([1, 1, 1, 1, 1, 1, 1, 0], bool)
+    result = SimpleNamespace(shape_id=shape, hit=hit, answer=SimpleNamespace(prim=prim))
+    found = reference_prims(result, model)
+    assert found.tolist() == [0, 1, 4, 1, 5, 5, -1, -1] and found.dtype == np.int32

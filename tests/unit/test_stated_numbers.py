@@ -25,8 +25,9 @@ from caster.kernels.protocol import hull_point, hull_size, intersect, load, prep
 from caster.kernels.triangles import fast_barycentrics
 from caster.scene.model import Scene
 from mitsuba_ref import error_model, oracle, shapes
+from mitsuba_ref.error_model.scene_model import Side
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of
 from mitsuba_ref.shapes import reference_of
 
 FILE = Path(__file__).with_name("stated_numbers.json")
@@ -93,14 +94,14 @@ def bounds(shape: Any) -> dict[str, list[float]]:
     """t, error bounds and verdicts of the intersections of some rays, for each rounding."""
     scene = scene_of(shape)
     none = np.zeros((1, 3))
-    model = model_of(scene, packed_float32(scene), endless_rays(none, none + 1))
+    model = model_of(scene, endless_rays(none, none + 1))
     low, high = (np.clip(corner, -5.0, 40.0) for corner in float_box(model.kinds[0]))
     o = np.repeat(np.array(ORIGINS) + low, len(TARGETS), axis=0).astype(np.float32).astype(float)
     d = np.tile(low + np.array(TARGETS) * (high - low), (len(ORIGINS), 1)) - o
     d = (d * 0.75).astype(np.float32).astype(float)
     found = {}
     for ku, ours in ROUNDINGS:
-        met = model.intersect(np.zeros(len(o), np.int64), o, d, ku, ours=ours)
+        met = model.intersect(np.zeros(len(o), np.int64), o, d, Side(ku, ours))
         order = np.lexsort([np.nan_to_num(met.at.t), met.pair])
         for field in ("t", *ERRORS, "possible", "certain"):
             found[f"{field}, {ku:g}, {'ours' if ours else 'reference'}"] = getattr(met.at, field)[order]

@@ -9,6 +9,7 @@ import verdict_factory
 
 from caster.system.process import OK
 from mitsuba_ref.cli.validate import exit_code
+from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.judge.adjudication import exact_ratios, oracle_answers
 from mitsuba_ref.judge.aggregate import merge_windows
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneCheck, SceneVerdict, Verdict
@@ -30,7 +31,7 @@ def test_rays_that_the_oracle_refuses_cost_the_others_nothing():
 
     o, d = np.zeros((2, 13, 3))
     o[:, 0], d[:, 1] = np.arange(13), np.arange(13) + 0.5
-    found = oracle_answers(Refusing(), o, d, np.arange(13) + 0.25, np.arange(13) + 0.75)
+    found = oracle_answers(Refusing(), Rays(o, d, np.arange(13) + 0.75, np.arange(13) + 0.25))
     assert found == [None if n in bad else (n, n + 0.5, n + 0.25, n + 0.75) for n in range(13)]
 
 

@@ -27,10 +27,11 @@ from mitsuba_ref.shapes.shape_reference import PositionTerms
 
 
 @without_float_warnings
-def kind_biases(judge: Judge) -> list[KindBias]:
+def kind_biases(judge: Judge, excused: Array) -> list[KindBias]:
     """Bias of each kind, from both sides' answers and the reference's bounds, without float64 bounds or exact answers.
 
-    Without instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
+    excused: (n,) bool, pixels that pass without the reference; they are no evidence. Nor are instances in a Mitsuba
+    file: the rounding of a matrix is shared by all their hits.
     """
     packed, answer = judge.model.packed, judge.result.answer
     error = judge.result.t - judge.answer.t
@@ -41,7 +42,7 @@ def kind_biases(judge: Judge) -> list[KindBias]:
     hit = (judge.prim >= 0) & judge.result.hit & near
     if original := original_of(judge.scene):
         hit[hit] = ~(original.condition > 0.0)[packed.shape_of(judge.prim[hit])]
-    rows, tied = np.flatnonzero(hit & same & (turned <= 1.0)), judge.prim[hit & ~same]
+    rows, tied = np.flatnonzero(hit & same & (turned <= 1.0) & ~excused), judge.prim[hit & ~same]
     prim = judge.prim[rows]
     kind, k = packed.kinds_of(prim)
     evidence = untied(prim, kind, tied, packed.kinds_of(tied)[0])

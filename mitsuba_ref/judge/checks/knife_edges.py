@@ -17,8 +17,8 @@ from caster.rendering.hits import cast_any_lengths, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import t_bounds
-from mitsuba_ref.error_model.intersections import Array, without_overflow_warnings
-from mitsuba_ref.hard.rays import ALL_AIMS, RayBatch, Targets, aimed_rays
+from mitsuba_ref.error_model.intersections import Array, Rays, without_overflow_warnings
+from mitsuba_ref.hard.rays import ALL_AIMS, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.shared_input import own_model
@@ -44,7 +44,7 @@ def nearest_hits(packed: Packed, t: Array, shape: Array, prim: Array) -> Nearest
 
 
 @without_overflow_warnings
-def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
+def cast_by_culling(packed: Packed, rays: Rays, culling: Culling) -> NearestHits:
     """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
     given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)  # any limits
     _, nearest, t = cast_any_lengths(packed, given, culling, threads=1)
@@ -52,7 +52,7 @@ def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> Nearest
 
 
 @without_overflow_warnings
-def with_limits(rng: Rng, rays: RayBatch, found: NearestHits, most: int = LIMITED_RAYS) -> RayBatch:
+def with_limits(rng: Rng, rays: Rays, found: NearestHits, most: int = LIMITED_RAYS) -> Rays:
     """Some of the rays that hit, with t_min or t_max just before, at or beyond the hit."""
     hits = np.flatnonzero((found.prim >= 0) & (found.t > 0.0) & np.isfinite(found.t))
     rows = rng.permutation(hits)[:most]
@@ -61,25 +61,11 @@ def with_limits(rng: Rng, rays: RayBatch, found: NearestHits, most: int = LIMITE
     start = np.choose(rng.integers(6, size=n), [t, before, np.zeros(n), np.zeros(n), 0.5 * t, after])
     end = np.choose(rng.integers(4, size=n), [t, before, np.full(n, np.inf), 2.0 * t])
     end = np.where(start > 0.0, np.where(end >= start, end, np.inf), np.minimum(end, t))
-    return RayBatch(rays.o[rows], rays.d[rows], start, end)
+    return Rays(rays.o[rows], rays.d[rows], start, end)
 
 
-def concatenated(first: RayBatch, second: RayBatch) -> RayBatch:
-    return RayBatch(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
-
-
-class PreparedScene(NamedTuple):
-    """A scene, packed, with its oracle."""
-
-    scene: Scene
-    packed: Packed
-    oracle: Oracle
-
-
-def prepared_scene(scene: Scene) -> PreparedScene:
-    """Raises OutsideDomain where a primitive's numbers are not finite."""
-    numbers = packed(scene)
-    return PreparedScene(scene, numbers, Oracle(numbers))
+def concatenated(first: Rays, second: Rays) -> Rays:
+    return Rays(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 
 
 class RayVerdict(NamedTuple):
@@ -92,13 +78,13 @@ class RayVerdict(NamedTuple):
     text: str = ""  # both hits in words; "" if right
 
 
-def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> list[RayVerdict]:
+def adjudicate(oracle: Oracle, rays: Rays, found: NearestHits) -> list[RayVerdict]:
     """Compare hit or miss, primitive, and t within its bound.
 
     Raises OutsideDomain for rays that the oracle does not take.
     """
-    answers = subject.oracle.first_hits(*rays)
-    bounds = t_bounds(own_model(subject.packed), found, (rays.o, rays.d))
+    answers = oracle.first_hits(*rays)
+    bounds = t_bounds(own_model(oracle.packed), found, (rays.o, rays.d))
     return list(map(_verdict, answers, found.t.tolist(), found.prim.tolist(), bounds.tolist()))
 
 
@@ -151,11 +137,12 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
 
     Some of the failing rays are appended to `wrong_rays` as scenes of one ray.
     """
-    subject = prepared_scene(scene)
-    if not subject.packed.first[-1]:
+    numbers = packed(scene)
+    oracle = Oracle(numbers)
+    if not numbers.first[-1]:
         return 0.0, "no primitive to aim at"
-    rays = rays_at_edges(subject)
-    verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
+    rays = rays_at_edges(scene)
+    verdicts = adjudicate(oracle, rays, cast_by_culling(numbers, rays, "bvh"))
     bad, words = [i for i, each in enumerate(verdicts) if each.kind], f"{len(verdicts)} aimed rays"
     if bad:
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
@@ -168,27 +155,27 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
 
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
-def rays_at_edges(subject: PreparedScene) -> RayBatch:
+def rays_at_edges(scene: Scene) -> Rays:
     """Aimed rays, some of the camera's rays, and some of both with other limits; the same for the same scene."""
-    seed = 0  # from the geometry in world space alone, not from names and files
-    for array in chain.from_iterable(subject.packed.parts):
+    numbers, seed = packed(scene), 0  # from the geometry in world space alone, not from names and files
+    for array in chain.from_iterable(numbers.parts):
         seed = zlib.crc32(np.ascontiguousarray(array).view(np.uint8).data, seed)
     rng = np.random.default_rng(seed)
-    targets = Targets(subject.packed, rng)
-    eye = np.array(subject.scene.camera.eye, np.float64)
+    targets = Targets(numbers, rng)
+    eye = np.array(scene.camera.eye, np.float64)
 
     def from_eye(targets: Targets, count: int) -> tuple[Array, Array]:
         return np.tile(eye, (count, 1)), targets.points(count).p - eye
 
-    film = camera_rays(subject.scene, threads=1)
+    film = camera_rays(scene, threads=1)
     count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, MIN_AIMED_RAYS, MAX_AIMED_RAYS))
     others = int(SHARE_OF_OTHERS * count)
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
-    own = RayBatch(*film[:4]).taken(rows)
+    own = Rays(*film.take(rows))
     targets.fit_frame()
     rays = concatenated(own, aimed_rays(targets, count, (*ALL_AIMS, from_eye)))
-    first = cast_by_culling(subject.packed, rays, "bvh")
+    first = cast_by_culling(numbers, rays, "bvh")
     return concatenated(rays, with_limits(rng, rays, first, others))
 
 

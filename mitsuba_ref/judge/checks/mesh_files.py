@@ -20,7 +20,7 @@ import numpy as np
 from caster.scene.model import Scene
 from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.intersections import Array, without_float_warnings, without_overflow_warnings
+from mitsuba_ref.error_model.intersections import Array, rounded, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
 from mitsuba_ref.judge.checks import Found, check
 from mitsuba_ref.reference.messages import LoadedMesh
@@ -139,7 +139,7 @@ def _same_in_float32(ours: Array, theirs: Array) -> float:
     """0 if theirs are ours rounded to float32, where a tie may go either way; else inf."""
     if ours.shape != theirs.shape:
         return float("inf")
-    rounded = ours.astype(np.float32).astype(np.float64)
-    tie = np.abs(ours - theirs) == np.abs(ours - rounded)
-    same = (theirs == rounded) | (np.isnan(theirs) & np.isnan(rounded)) | tie
+    nearest = rounded(ours)
+    tie = np.abs(ours - theirs) == np.abs(ours - nearest)
+    same = (theirs == nearest) | (np.isnan(theirs) & np.isnan(nearest)) | tie
     return 0.0 if same.all() else float("inf")

@@ -11,6 +11,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import Array, dot, rounded, without_float_warnings
+from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE
 from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import endless
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Found, check
@@ -106,7 +107,7 @@ def _answer(subject: Subject, scene: Scene, o: Array, d: Array) -> Array:
 
 def _answer_to(subject: Subject, scene: Scene, rays: SharedRays) -> Array:
     with ScratchFolder() as folder:
-        model = model_of(scene, packed_float32(scene), rays)
+        model = model_of(scene, rays)
         return subject.answer(CastRequest(scene, model, rays, Path(folder))).t
 
 
@@ -117,8 +118,8 @@ def _cast(scene: Scene, o: Array, d: Array, t_min: float) -> NearestHits:
 def expected_t(scene: Scene, o: Array, d: Array) -> tuple[Array, Array, Array]:
     """t (m,) of our caster, the tolerance for others (MATCH_RTOL, or float32's bound if larger), and n . d."""
     found = _cast(scene, o, d, 0.0)
-    model = model_of(scene, packed_float32(scene), endless_rays(o, d))
-    at = intersections_at(model, found.prim, o, d, found.t, KU, ours=False)
+    model = model_of(scene, endless_rays(o, d))
+    at = intersections_at(model, found.prim, o, d, found.t, REFERENCE_SIDE)
     hit = found.prim >= 0
     return found.t, np.where(hit, np.fmax(MATCH_RTOL * found.t, at.t_error), 0.0), np.where(hit, dot(at.n, d), 0.0)
 

@@ -13,6 +13,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.intersections import Array, Rays, any_of_columns, norm
+from mitsuba_ref.error_model.scene_model import OUR_SIDE
 from mitsuba_ref.error_model.textures import ColoredPoints, color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.judge.adjudication import sample_rows
@@ -88,20 +89,20 @@ def _by_longer_rays(view: RayHits) -> RayHits:
 
 def _within_float64(scene: Scene, ours: Aovs, rows: Array, rays: Any) -> Array:
     """(m,) bool: at these rows, geometry is in float64's bracket, and diffuse as the lights' definitions give it."""
-    rays = Rays(*(each[rows] for each in rays[:4]))
+    rays = Rays(*rays[:4]).take(rows)
     depth, n, sh_n, p, uv, shape, diffuse, prim, albedo = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
-    model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
-    bracket = Bracket(model, KU_OURS, ours=True)
+    model = model_of(scene, SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))), packed(scene))
+    bracket = Bracket(model, OUR_SIDE)
     claims = Claims(t, shape, n, sh_n, p, KU_OURS * t, uv=uv)
-    found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
+    found = bracket.judge(rays, claims)
     right = found.allowed | found.open
     colored = ColoredPoints(shape, prim, uv, p, albedo)
     right &= color_ratios(scene.textures, model.packed.parts, colored, KU_OURS) <= 1.0
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
-    at = intersections_at(model, prim, o, d, t, KU_OURS, ours=True)
+    at = intersections_at(model, prim, o, d, t, OUR_SIDE)
     points = shading_points(scene, o + t[:, None] * d, d, at, shape, albedo[hit])
     right[hit] &= diffuse_within_float64(scene, points, prim, diffuse[hit], bracket)
     return right

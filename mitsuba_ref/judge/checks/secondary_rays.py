@@ -13,19 +13,19 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.bounces import RAY_KINDS, Bounce
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import Array, cross, dot, norm, unit
+from mitsuba_ref.error_model.intersections import Array, Rays, cross, dot, norm, rounded, unit
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
-from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.error_model.scene_model import OUR_SIDE, REFERENCE_SIDE
+from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 from mitsuba_ref.judge.adjudication import named_prims
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure, scene_of_ray
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, WRONG, Departures, OriginJudge
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest
 from mitsuba_ref.reference.rendering import trace_reference
-from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model, packed_float32
+from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model
 from mitsuba_ref.subjects.subject import NoAnswer
 
 # ---- the laws
@@ -41,11 +41,10 @@ def check_secondary_rays(bounce: Bounce, scene: Scene) -> Iterator[Found]:
     rays, parents = bounce.rays, bounce.parents
     kinds, prim = np.array(RAY_KINDS)[rays.kind], np.where(bounce.continues, parents.nearest.prim, -1)
     hit, t = prim >= 0, parents.nearest.t
-    at = intersections_at(own_model(parents.packed), prim, *parents.rays[:2], t, KU_OURS, ours=True)
+    at = intersections_at(own_model(parents.packed), prim, *parents.rays[:2], t, OUR_SIDE)
     materials = [scene.material_of(shape) for shape in scene.shapes]
     material = np.array([*(each.type for each in materials), ""])[np.where(hit, parents.shape_id, -1)]
-    ior = np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0])[parents.shape_id]
-    ior = ior.astype(np.float32).astype(np.float64)
+    ior = rounded(np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0]))[parents.shape_id]
     d, n, n_error = unit(parents.rays.d), np.where(hit[:, None], at.n, 0.0), np.where(hit, at.n_error, 0.0) + KU_OURS
     cosine = dot(d, n)
     seen = np.abs(cosine) > n_error + LEFT_OUT
@@ -132,12 +131,10 @@ class LeavingRays(NamedTuple):
     rays: Departures
 
 
-def leaving_rays(
-    scene: Scene, packed: Packed, parents: RayBatch, prim: Array, t: Array, w: Array, q: Array
-) -> LeavingRays:
+def leaving_rays(scene: Scene, packed: Packed, parents: Rays, prim: Array, t: Array, w: Array, q: Array) -> LeavingRays:
     """Rays from q along w (n, 3) after the hits of their parents: primitive, -1 on a miss, and t, (n,) each."""
     o, d = parents.o, parents.d
-    at = intersections_at(own_model(packed), prim, o, d, t, KU_OURS, ours=True)
+    at = intersections_at(own_model(packed), prim, o, d, t, OUR_SIDE)
     with np.errstate(all="ignore"):
         way = at.t[:, None] * d
         p = o + way
@@ -148,7 +145,7 @@ def leaving_rays(
 def rays_of_bounce(bounce: Bounce) -> LeavingRays:
     """The secondary rays with their own origins."""
     of, hits = bounce.rays.parent, bounce.parents
-    parents, nearest = RayBatch(*(a[of] for a in hits.rays)), hits.nearest
+    parents, nearest = Rays(*hits.rays).take(of), hits.nearest
     return leaving_rays(hits.scene, hits.packed, parents, nearest.prim[of], nearest.t[of], bounce.rays.d, bounce.rays.o)
 
 
@@ -206,7 +203,7 @@ def judge_origins(leaving: LeavingRays, judge: OriginJudge | None = None) -> Ori
     return OriginFindings(leaving, *judge.judge(leaving.rays))
 
 
-def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = send_stored) -> LeavingRays:
+def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest) -> LeavingRays:
     """The rays from where a rule, or one of RULES and MITSUBA, lets them start; None: as they are. Raises NoAnswer."""
     if rule is None:
         return leaving
@@ -218,9 +215,7 @@ def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = s
         return leaving._replace(rays=rays._replace(q=as_float32(place(rays.p, rays.n, rays.w))))
 
 
-def reference_rays(
-    leaving: LeavingRays, send: SendRequest = send_stored, timeout: float = DEFAULT_TIMEOUT
-) -> LeavingRays:
+def reference_rays(leaving: LeavingRays, send: SendRequest, timeout: float = DEFAULT_TIMEOUT) -> LeavingRays:
     """The same rays from where Mitsuba's spawn_ray puts them, of those whose parent hits the same point in Mitsuba.
 
     Raises NoAnswer.
@@ -228,11 +223,11 @@ def reference_rays(
     rays, scene = leaving.rays, leaving.scene
     listed = SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(rays.o)), rays.t_min)
     parents = listed.for_reference()
-    model = model_of(scene, packed_float32(scene), parents)
+    model = model_of(scene, parents)
     found = trace_reference(scene, model, parents, lights=False, timeout=timeout, send=send, leaving=rays.w)
     if isinstance(found, Crash):
         raise NoAnswer(found.message)
-    expected = intersections_at(model, rays.prim, rays.o, rays.d, rays.t, KU, ours=False)
+    expected = intersections_at(model, rays.prim, rays.o, rays.d, rays.t, REFERENCE_SIDE)
     with np.errstate(all="ignore"):
         near = np.abs(listed.t_of_reference(found.t) - expected.t) <= expected.t_error
     same = np.flatnonzero(near & found.hit & (found.shape_id == leaving.packed.shape_of(rays.prim)))
