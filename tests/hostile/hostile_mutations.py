@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import PurePath
 from typing import NamedTuple
 
+from json_paths import holder, paths_of
+
 MAX_BAIT_BYTES = 2_000_000  # of what is repeated until something quadratic would take minutes
 TEXT = {".toml", ".json", ".txt", ".xml", ".obj"}
 
@@ -390,10 +392,8 @@ def course_bait(rng: random.Random, data: bytes, suffix: str) -> bytes:
 def replaced_leaf(rng: random.Random, data: bytes, suffix: str) -> bytes:
     """Any value or table of the JSON."""
     record = json.loads(data)
-    path = rng.choice(list(leaves(record)))
-    here = record
-    for step in path[:-1]:
-        here = here[step]
+    path = rng.choice(list(paths_of(record)))
+    here = holder(record, path)
     new = rng.choice([*NUMBERS, "[" * 100_000, '"' + "x" * 100_000 + '"', '{"": null}', '"../../x"', '"\\u001b[2J"'])
     if not path:
         return new.encode(errors="surrogatepass")
@@ -402,13 +402,6 @@ def replaced_leaf(rng: random.Random, data: bytes, suffix: str) -> bytes:
         return json.dumps(record).encode()
     here[path[-1]] = "@@"
     return json.dumps(record).replace('"@@"', new).encode(errors="surrogatepass")
-
-
-def leaves(value: object, path: tuple[object, ...] = ()):  # type: ignore[no-untyped-def]
-    yield path
-    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, child in pairs:
-        yield from leaves(child, (*path, key))
 
 
 @only(".npy")

@@ -1,8 +1,6 @@
 """A share of the hostile inputs of `make hostile`, and that each of its rules can fail."""
 
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -10,6 +8,7 @@ import hostile_runs
 import pytest
 from hostile_cases import Case, cases, lines, parsers, split
 from hostile_runs import Bench
+from programs import printed_by
 
 from caster.cli.shared_arguments import InputPath
 from mitsuba_ref.cli.arguments import ScenePath
@@ -21,11 +20,9 @@ HERE = Path(__file__).resolve().parent
 @pytest.mark.slow("a hundred commands, each a process", keep=1)
 def test_a_share_of_the_cases(seed, share):
     """Of other seeds than that of `make hostile`."""
-    words = [sys.executable, "-P", "-m", "hostile_runs", "--seed", str(seed), "--count", str(share)]
     path = os.pathsep.join([str(each) for each in (HERE, HERE.parent, HERE.parents[1])])
-    done = subprocess.run(words, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert f"{share} hostile inputs" in done.stdout
+    words = ("-m", "hostile_runs", "--seed", str(seed), "--count", str(share))
+    assert f"{share} hostile inputs" in printed_by("-P", *words, PYTHONPATH=path)
 
 
 def test_every_command_is_tried():

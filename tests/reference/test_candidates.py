@@ -223,10 +223,6 @@ class Speechless(BaseException):
         raise ValueError
 
 
-def raising(scene, o, d):
-    raise RuntimeError("no such shape")
-
-
 def speechless(scene, o, d):
     raise Speechless
 
@@ -246,10 +242,7 @@ def leaving(scene, o, d):
 
 
 ANSWERS = [
-    (raising, "raised RuntimeError: no such shape"),
     (leaving, "raised SystemExit: 0"),
-    (lambda scene, o, d: np.zeros(len(o)), "expected two arrays (t, n), got one array of shape (432,)"),
-    (lambda scene, o, d: (np.zeros(7), None), "t: expected shape (n,) = (432,), got (7,)"),
     (lambda scene, o, d: (np.zeros(len(o)), o[:, :2]), "n: expected shape (n, 3) = (432, 3), got (432, 2)"),
     (lambda scene, o, d: (np.zeros(len(o), int), None), "t: expected float32 or float64 numbers, got int64"),
     (lambda scene, o, d: ([10**400] * len(o), None), "t: expected float32 or float64 numbers, got object"),

@@ -66,10 +66,7 @@ MISTAKES = [
         "radius",
         "'red'",
     ),
-    ("caster check typos.toml", 2, "'width'", "eye must be 3 numbers", "'look_at'", "'cube'", "radius", "'red'"),
     ("mitsuba-ref render scene.toml -o a.exr --aov dept", 2, "unknown, did you mean 'depth'?", "hit, depth, normal"),
-    ("caster preview a.exr --aov deptth", 2, "did you mean 'depth'?"),
-    ("mitsuba-ref probe scene.toml 16 0", 2, "pixel (16, 0): outside the film, expected 0 <= x < 16"),
     (
         "mitsuba-ref compare empty .",
         4,
@@ -83,7 +80,6 @@ MISTAKES = [
     ("mitsuba-ref compare . empty", 5, "nothing selected: no .exr file in empty"),
     ("mitsuba-ref validate scene.toml -k 'tea and'", 2, "-k 'tea and': expected parts of names with and, or, not"),
     ("mitsuba-ref compare scene.toml a.exr", 4, "scene.toml: expected an EXR image, got a file that starts with '[fi"),
-    ("mitsuba-ref compare a.png a.exr", 4, "a.png: expected an EXR image, got a file that starts with 'PNG'"),
     ("caster render scene.toml b.exr", 2, "unrecognized arguments: b.exr; an output follows -o, as in -o b.exr"),
     ("mitsuba-ref compare a.exr small.exr", 3, "size: ours is 16 x 12, the reference 8 x 6", "render both at one size"),
     ("mitsuba-ref compare a.exr small.exr --html page", 3, "report: none, as nothing could be compared"),
@@ -145,7 +141,6 @@ def folder(tmp_path, monkeypatch):
         ("typos.toml", SIX_TYPOS),
         ("beginners.py", CANDIDATES),
         ("mine.py", "def helper(): ...\ndef trace(scene, o, d): ...\n"),
-        ("a.png", "PNG"),
     ):
         Path(name).write_text(text)
     Path("mesh.toml").write_text(SCENE.replace('type = "cube"', 'type = "mesh"\nfile = "missing.ply"'))

@@ -122,9 +122,6 @@ def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_fixed(fuzz, fault,
         (["--examples", "0"], 5, "nothing selected"),
         (["--examples", "9..3"], 2, "expected how many, such as 100, or from..to"),
         (["--time", "soon"], 2, "expected a time such as 60s, 5m or 1h, at most 500,000 s, got 'soon'"),
-        (["--replay", "nowhere"], 4, "nowhere: expected a scene file or a folder of them"),
-        (["--replay", str(SCENE)], 2, "expected one comment line '# fuzz: KIND'"),
-        (["--json", "no/such/folder/x.json", "--examples", "1"], 4, "cannot write"),
     ],
 )
 def test_bad_input_is_reported(argv, code, says, capsys):

@@ -306,21 +306,6 @@ def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault)
     assert [(each.x, each.y) for each in listed] == [(row % 24, row // 24) for row in rows[:10].tolist()]
 
 
-def name_another(judge: Judge, rows: np.ndarray) -> None:
-    """Make our values those of the next triangle of the same torus."""
-    judge.answer.prim[rows] += 1
-    aov_rows(judge.subject, "prim_id")[rows] += 1
-
-
-def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
-    judge = altered(one)
-    rows = np.flatnonzero((aov_rows(judge.subject, "shape_id") == 3) & judge.at.certain)
-    rows = rows[aov_rows(judge.subject, "prim_id")[rows] < 88]
-    name_another(judge, rows)
-    found = again(judge).judge()
-    assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratios["on_surface"][rows]).any()
-
-
 @pytest.mark.parametrize(
     ("name", "off", "reported"),
     [("depth", 1e-12, "depth"), ("prim_id", 1, "shape_id"), ("hit", True, "mask"), ("albedo", 0.001, "diffuse")],

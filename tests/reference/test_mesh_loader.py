@@ -1,6 +1,7 @@
 """The caster's mesh readers against Mitsuba's own loader: valid files, and each kind of reading error."""
 
 import numpy as np
+import places
 import pytest
 from ply_files import INDICES, ply
 
@@ -54,8 +55,7 @@ FILES = {
 
 
 def scene_of(path) -> Scene:
-    camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
-    return Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=[{"type": "mesh", "file": str(path)}])
+    return places.scene_of({"type": "mesh", "file": str(path)}, film={"width": 2, "height": 2})
 
 
 def loaded_by_mitsuba(brought, folder, name, data):

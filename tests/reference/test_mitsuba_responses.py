@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, shape, sun, write
+from places import scene_of
 from programs import printed_by
 
 import caster
@@ -191,8 +192,7 @@ def test_what_mitsuba_leaves_out_within_a_curve_is_a_known_defect():
     rng = np.random.default_rng(7)
     points, radii = rng.normal(0.0, 0.7, (8, 3)).cumsum(axis=0), rng.uniform(0.2, 0.5, 8)
     points, radii = (a.astype(np.float32).astype(np.float64) for a in (points, radii))
-    camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
-    scene = caster.Scene(camera=camera, shapes=[caster.LinearCurve(points=points, radii=radii)])
+    scene = scene_of(caster.LinearCurve(points=points, radii=radii))
     k = rng.integers(0, 7, 200)
     o, d = (a.astype(np.float32).astype(np.float64) for a in (points[k], rng.normal(size=(200, 3))))
     rays = np.hstack([o, d, np.tile([0.0, np.inf], (200, 1))])

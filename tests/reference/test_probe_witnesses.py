@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from mitsuba_scenes import scene_judge
+from places import scene_of
 
 import caster
 from mitsuba_ref.__main__ import main
@@ -30,9 +31,11 @@ subdivisions = 1
 
 def test_one_pixel_does_not_cost_what_the_film_does():
     """A plane's patch is cut to the film's rays, of a larger film to fewer with the same view."""
-    view = {"camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), "film": {"width": 20000, "height": 20000}}
-    assert stand_in_rays(caster.Scene(shapes=[caster.Sphere()], **view)) is None
-    assert len(stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)).d) <= STAND_IN_PIXELS
+    ball, floor = (
+        scene_of(shape, film={"width": 20000, "height": 20000})
+        for shape in (caster.Sphere(), caster.Plane(offset=-1.0))
+    )
+    assert stand_in_rays(ball) is None and len(stand_in_rays(floor).d) <= STAND_IN_PIXELS
 
 
 @pytest.mark.slow("waits for a time-out")

@@ -194,6 +194,12 @@ def declines(scene, o, d):
 """
 
 
+def run_candidate(folder, candidate):
+    folder.makepyfile(somebodys=CASTERS)
+    words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
+    return run(folder, *words, "--mitsuba-ref-candidate", candidate)
+
+
 @pytest.mark.parametrize(
     ("candidate", "outcome", "says"),
     [
@@ -204,9 +210,7 @@ def declines(scene, o, d):
     ],
 )
 def test_a_candidate_is_judged(folder, candidate, outcome, says):
-    folder.makepyfile(somebodys=CASTERS)
-    words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
-    found = run(folder, *words, "--mitsuba-ref-candidate", candidate)
+    found = run_candidate(folder, candidate)
     found.assert_outcomes(**outcome)
     assert all(words in found.stdout.str() for words in says)
 
@@ -215,9 +219,7 @@ def test_a_check_of_the_run_fails_every_scene(folder, monkeypatch):
     """Scenes may pass with a caster that ignores the limits of rays."""
     wrong = SceneCheck("ray_conventions", math.inf, "it ignores t_max")
     monkeypatch.setattr("mitsuba_ref.python_api.run_checks", lambda subject: (wrong,))
-    folder.makepyfile(somebodys=CASTERS)
-    words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
-    found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
+    found = run_candidate(folder, "somebodys:right")
     found.assert_outcomes(failed=1)
     assert "FAIL  ray_conventions: it ignores t_max" in found.stdout.str()
 

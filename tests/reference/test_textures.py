@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import scene_judge
 from PIL import Image
+from places import scene_of
 
 import caster
 from caster.description.errors import SceneError
@@ -126,11 +127,7 @@ def test_colours_of_a_mesh_from_a_thousandth_of_an_edge_beside_the_corner_are_fo
 )
 def test_colours_that_fit_no_mesh(fields, shape, expected):
     with pytest.raises(SceneError, match=expected):
-        Scene(
-            camera=caster.Pinhole(eye=(0, 0, 4), look_at=(0, 0, 0)),
-            shapes=[shape],
-            materials={"m": {"reflectance": {"type": "mesh_colors", **fields}}},
-        )
+        scene_of(shape, materials={"m": {"reflectance": {"type": "mesh_colors", **fields}}})
 
 
 def test_a_shift_by_a_thousandth_of_a_texel_in_mitsubas_scene_is_found(monkeypatch):

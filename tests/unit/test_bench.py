@@ -228,7 +228,6 @@ def test_the_page_has_the_conditions_every_row_and_the_plot(tmp_path):
     ("words", "code", "says"),
     [
         ("mesh-70", 2, "scene 'mesh-70': unknown, did you mean 'mesh-70k'?"),
-        ("one-sphere --aov depht", 2, "aov 'depht': unknown, did you mean 'depth'?"),
         ("rays --aov depth", 5, "nothing selected"),
         ("nothing.obj", 4, "nothing.obj"),
     ],

@@ -82,7 +82,6 @@ def test_provenance_lives_under_caster(tmp_path):
         ({"normal": np.zeros((2, 3, 3))}, {}, ["'normal'", "(2, 3, 3)"]),
         ({"Z": np.zeros((0, 3))}, {}, ["'Z'", "(0, 3)"]),
         ({"Z": np.zeros((2, 2), np.int32)}, {}, ["'Z'", "uint32", "int32"]),
-        ({"Z": np.zeros((2, 2), complex)}, {}, ["'Z'", "complex128"]),
         ({"": np.zeros((2, 2))}, {}, ["channel name ''"]),
         ({"x" * 256: np.zeros((2, 2))}, {}, ["channel name", "255"]),
         ({"Z": np.zeros((2, 2))}, {"provenance": {"n": 3}}, ["caster/n", "string", "3"]),
@@ -124,9 +123,7 @@ def test_a_device_or_folder_is_never_replaced(tmp_path, monkeypatch, target):
     [
         (OSError(28, "No space left on device"), OutputError),
         (SceneError("odd"), SceneError),
-        (MemoryError(), MemoryError),
         (KeyboardInterrupt(), KeyboardInterrupt),
-        (SystemExit(1), SystemExit),
     ],
 )
 @pytest.mark.parametrize("older", [None, b"an older image"])
@@ -191,10 +188,8 @@ def test_a_missing_file_is_file_missing(tmp_path):
     ("content", "words"),
     [
         (b"", "empty (0 bytes)"),
-        (b"P6 2 2 255\n............", "starts with 'P6 2'"),
+        (b"\x89PNG\r\n\x1a\n....", "PNG'"),
         (b"v/1", "starts with 'v/1'"),
-        (b"v/1\x01", "truncated"),
-        (b"v/1\x01\x02\0\0\0", "truncated"),
         (b"v/1\x01\x02\x08\0\0channels", "truncated"),
         (b"v/1\x01\x02\x10\0\0channels", "truncated"),
     ],

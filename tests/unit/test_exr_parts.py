@@ -6,19 +6,15 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from test_exr import SHAPE, ramp
 
 from caster.__main__ import main as caster_main
 from caster.image.exr import UnreadableExr, read_exr
 from caster.system.process import FILE
 from mitsuba_ref.__main__ import main
 
-SHAPE = (5, 7)
 FLAT = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
 DEEP = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
-
-
-def ramp(seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=SHAPE).astype(np.float32)
 
 
 def save(path: Path, parts: dict[str, dict[str, np.ndarray]], **headers: dict) -> Path:
@@ -96,7 +92,6 @@ REFUSED = {
         {"cloud": DEEP},
         "deep data, many samples per pixel, in part 'cloud'; write flat parts",
     ),
-    "deep alone": ({"cloud": {"Z": deep()}}, {"cloud": DEEP}, "deep data, many samples per pixel, in part 'cloud'"),
     "views": (
         {"rgba.left": of("A"), "rgba.right": of("A")},
         {"rgba.left": {"view": "left"}, "rgba.right": {"view": "right"}},

@@ -4,6 +4,7 @@ import copy
 import json
 
 import pytest
+from json_paths import holder, paths_of
 from pages import read_result
 from places import ROOT
 from verdict_factory import scene, verdict
@@ -24,29 +25,18 @@ GARBLED = [
 MARK = "@@garbled@@"
 
 
-def leaves(value, path=()):
-    """Paths of all values that hold no others, and of all lists and tables."""
-    yield path
-    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, child in children:
-        yield from leaves(child, (*path, key))
-
-
 def garbled(data, path, text):
     """The JSON with one value replaced."""
     if not path:
         return text
     changed = copy.deepcopy(data)
-    here = changed
-    for step in path[:-1]:
-        here = here[step]
-    here[path[-1]] = MARK
+    holder(changed, path)[path[-1]] = MARK
     return json.dumps(changed).replace(json.dumps(MARK), text)
 
 
 def places(data, texts):
     """Each value, garbled in two ways, which change from value to value; all ways in the end."""
-    for i, path in enumerate(leaves(data)):
+    for i, path in enumerate(paths_of(data)):
         for k in (2 * i, 2 * i + 1):
             yield garbled(data, path, texts[k % len(texts)])
 

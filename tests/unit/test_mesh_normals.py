@@ -36,17 +36,19 @@ def test_normals_are_weighted_by_angle_not_by_area():
     assert np.abs(normal - expected).max() <= ROUNDING
 
 
+def some_faces(rng):
+    return rng.normal(size=(20, 3)), np.array([rng.choice(20, 3, replace=False) for _ in range(40)], np.int32)
+
+
 @pytest.mark.parametrize("exponent", [-1000, -300, 300, 900])
 def test_a_power_of_two_in_size_does_not_change_a_bit(rng, exponent):
-    vertices = rng.normal(size=(20, 3))
-    faces = np.array([rng.choice(20, 3, replace=False) for _ in range(40)], np.int32)
+    vertices, faces = some_faces(rng)
     scaled = vertex_normals(np.ldexp(vertices, exponent), faces)
     assert np.array_equal(vertex_normals(vertices, faces), scaled)
 
 
 def test_mirroring_the_mesh_mirrors_the_normals_to_the_bit(rng):
-    vertices = rng.normal(size=(20, 3))
-    faces = np.array([rng.choice(20, 3, replace=False) for _ in range(40)], np.int32)
+    vertices, faces = some_faces(rng)
     mirrored = vertex_normals(vertices * (-1, 1, 1), faces)  # a cross product mirrors the other two axes
     assert np.array_equal(vertex_normals(vertices, faces) * (1, -1, -1), mirrored)
 

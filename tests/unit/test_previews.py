@@ -8,7 +8,6 @@ from places import ROOT
 import caster
 from caster.__main__ import main
 from caster.aovs import BY_NAME
-from caster.image.image_files import IMAGE_FORMATS
 from caster.image.previews import (
     CHECKER_GREYS,
     COLORMAP_ANCHORS,
@@ -135,19 +134,6 @@ def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, c
     pixels = read_image("v.png").tolist()
     assert pixels[0][:2] == [[1, 2, 3], [255, 0, 0]] and pixels[0][2] == label_colors(np.array(7)).tolist()
     assert pixels[1][1] == [CHECKER_GREYS[0]] * 3
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "says"),
-    [
-        ("preview gone.exr", 4, "gone.exr: cannot read this EXR image: No such file"),
-        ("preview s.toml -o p.png", 4, "s.toml: expected an EXR image"),
-    ],
-)
-def test_wrong_use_is_reported_with_its_exit_code(folder, capsys, words, code, says):
-    assert main(words.split()) == code
-    assert says in capsys.readouterr().err
-    assert not list(folder.glob("*.exr")) and not [p for s in IMAGE_FORMATS for p in folder.glob(f"*{s}")]
 
 
 def test_an_aov_that_a_file_lacks_is_named(folder, capsys):

@@ -3,12 +3,10 @@
 import ast
 import os
 import re
-import subprocess
-import sys
 import tomllib
 
 import pytest
-from programs import FOLDER, MAX_LINES, ROOT, run_program
+from programs import FOLDER, MAX_LINES, ROOT, python, run_program
 
 PROGRAMS = {path.name: path for path in sorted(FOLDER.glob("*.py"))}
 OURS = [
@@ -80,10 +78,10 @@ def test_a_type_checker_finds_what_a_user_misspells_and_nothing_else(tmp_path):
         (tmp_path / f"misspelt_{name}").write_text(text)
         (tmp_path / name).write_text(path.read_text())
         expected[name] = set()
-    command = [sys.executable, "-m", "mypy", "--cache-dir", str(ROOT / ".mypy_cache"), *expected]
     # its trace is what the programs import from the reader's own mine.py
-    env = os.environ | {"MYPYPATH": os.pathsep.join([str(ROOT), str(ROOT / "mitsuba_ref/starters/python")])}
-    told = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True).stdout
+    path = os.pathsep.join([str(ROOT), str(ROOT / "mitsuba_ref/starters/python")])
+    words = ("-m", "mypy", "--cache-dir", ROOT / ".mypy_cache", *expected)
+    told = python(*words, cwd=tmp_path, MYPYPATH=path).stdout
     found = {name: set() for name in expected}
     for name, line in re.findall(r"^(\w+\.py):(\d+): error", told, re.MULTILINE):
         found[name].add(int(line))

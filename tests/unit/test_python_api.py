@@ -67,7 +67,6 @@ def test_a_mesh_of_trimesh_keeps_its_triangles_and_uv():
     ("arrays", "fields", "says"),
     [
         ((), {}, "needs file, or vertices and faces, got none"),
-        ((CORNERS,), {}, "needs file, or vertices and faces, got vertices"),
         ((CORNERS, FACES), {"file": "m.obj"}, "needs either file or arrays, got file and vertices and faces"),
         ((CORNERS[:, :2], FACES), {}, r"vertices\[0\] must be 3 numbers \[x, y, z\], got 2: \[0.1, 0\]"),
         ((np.array(5.0), FACES), {}, "vertices must be a list, got 5"),
@@ -78,7 +77,6 @@ def test_a_mesh_of_trimesh_keeps_its_triangles_and_uv():
         ((CORNERS, [(0, 1, True)]), {}, r"faces\[0\]\[2\] must be a whole number, got true"),
         ((CORNERS, [(0, 1, 4)]), {}, r"face 0 must join vertices 0 to 3 \(the mesh has 4\), got \(0, 1, 4\)"),
         ((CORNERS, FACES, NORMALS[:3]), {}, "normals must have 4 rows, one a vertex, got 3"),
-        ((CORNERS, FACES, None, UV[:1]), {}, "uv must have 4 rows, one a vertex, got 1"),
         ((CORNERS, FACES, 0 * NORMALS), {}, "the normal of vertex 0 must have a direction"),
         ((CORNERS, FACES), {"nme": "m"}, "nme is an unknown key, did you mean 'name'?"),
     ],

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import SCENES, shipped
+from places import shipped
 
 import caster
-from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.checks import ray_conventions
 from mitsuba_ref.judge.checks.ray_conventions import LENGTHS, LIMITS, RAYS, check_ray_conventions, check_ray_limits
 from mitsuba_ref.subjects.command import RayCommand
@@ -115,21 +114,6 @@ def test_rays_that_are_wrong_at_an_edge_do_not_keep_the_others_from_being_judged
 def test_a_caster_right_for_no_ray_of_length_1_fails():
     found = checked(lambda scene, o, d: (np.where(abs(length(d) - 1.0) < 1e-6, np.inf, right(scene, o, d)[0]), None))
     assert not found.ok and found.what.endswith("is right for |d| = 1: nothing is hit"), found.what
-
-
-def test_validate_names_the_broken_convention(tmp_path, monkeypatch, capsys):
-    (tmp_path / "distances.py").write_text(
-        "import caster\nimport numpy as np\n\n\ndef cast(scene, o, d):\n    length = np.linalg.norm(d, axis=1)\n"
-        "    hits = caster.cast(scene, o, d)\n"
-        "    return np.where(abs(length - 1) < 1e-6, hits.t, hits.t * length), hits.normal\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    words = ["validate", str(SCENES / "one-sphere.toml"), "--size", "24", "20", "--candidate", "distances:cast"]
-    assert main(words) == 1
-    out = " ".join(capsys.readouterr().out.split())
-    says = "t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, wrong for |d| = 0.5"
-    assert "FAIL one-sphere ray_conventions: " in out and says in out
 
 
 def test_what_fails_already_or_is_not_there_is_not_judged():
