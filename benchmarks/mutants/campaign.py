@@ -54,7 +54,7 @@ PLAIN = {
     """,
     "tests/unit": """
         added_aov bias bracket builtin_scenes camera_references candidate_aimed
-        error_bounds_of_kernels error_models exact_kernels explanations fuzz generated_meshes
+        error_bounds_of_kernels error_models exact_kernels fuzz generated_meshes
         geometry_checked_in_both_precisions independent_transform judge_at_extremes knife_edges known_defects
         lambert_and_shadow_rays mesh_files mesh_normals plan primitive_properties quadric_normals ray_bounds
         ray_camera registries rejected_faces scene_docs scene_errors scene_files scene_lights
@@ -66,7 +66,7 @@ PLAIN = {
 WITH_COMPILER = {
     "tests/unit": """
         bias bracket camera_references candidate_aimed candidate_scene check_list defect_measurement
-        description_round_trip error_models exact_kernels explanations exr_compare exr_files fuzz
+        description_round_trip error_models exact_kernels exr_compare exr_files fuzz
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
         registries report_files result_schemas scene_options scene_rows
