@@ -42,7 +42,7 @@ isa: $(INSTALLED) ## scenes and tests with Mitsuba limited to SSE4.2, AVX and AV
 	@PYTHONPATH=tests/isa $(BIN)/python -P -m isa_runs --jobs $(JOBS) $(ARGS)
 
 mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/internals/mutants.md; hours
-	@PYTHONPATH=benchmarks:tests/reference $(BIN)/python -P -m mutants --page docs/internals/mutants.md $(ARGS)
+	@PYTHONPATH=benchmarks:tests/reference:tests $(BIN)/python -P -m mutants --page docs/internals/mutants.md $(ARGS)
 
 hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
 	@PYTHONPATH=tests/hostile:tests $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
@@ -50,7 +50,7 @@ hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: 
 nightly: $(INSTALLED) slow faults isa hostile ## what make test has no time for: all faults, half an hour of hard rays, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 2000 --time 30m
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
-	@PYTHONPATH=benchmarks:tests/reference $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly
+	@PYTHONPATH=benchmarks:tests/reference:tests $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly
 
 lint: $(INSTALLED) ## style, format and types: ruff, mypy
 	@$(BIN)/ruff check .

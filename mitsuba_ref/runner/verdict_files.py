@@ -47,7 +47,8 @@ def sources() -> dict[str, Source]:
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             name = ".".join(path.relative_to(root).with_suffix("").parts)
-            data = b"".join(each.read_bytes() for each in sorted(path.parent.glob(f"{path.stem}.*")))  # teapot.txt, too
+            files = (path, path.with_suffix(".txt"))  # teapot.txt
+            data = b"".join(each.read_bytes() for each in files if each.exists())
             found[name] = Source(hashlib.sha256(data).hexdigest(), frozenset(MODULE_NAME.findall(data.decode())))
     return found
 

@@ -106,7 +106,9 @@ def trees(tmp_path_factory) -> dict[str, Path]:
             (tree / package / "__init__.py").write_text("")
         (tree / "caster/module.py").write_bytes(MODULE)
         (tree / "test_module.py").write_text(tests)
-    printed_by("-P", "-c", CAMPAIGN, *found.values(), PYTHONPATH=f"{ROOT}/benchmarks:{ROOT}/tests/reference")
+    printed_by(
+        "-P", "-c", CAMPAIGN, *found.values(), PYTHONPATH=f"{ROOT}/benchmarks:{ROOT}/tests/reference:{ROOT}/tests"
+    )
     return found
 
 
