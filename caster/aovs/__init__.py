@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from caster.jit.decorators import implement, inlined
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
 
-__all__ = ["AOVS", "BY_NAME", "KERNELS", "Aov", "Aovs", "register"]
+__all__ = ["AOVS", "BY_NAME", "Aovs", "register"]
 
 
 class Aov(NamedTuple):

@@ -16,8 +16,6 @@ from caster.kernels.raster.wide_angle import (
     sphere_in_camera_space,
 )
 
-__all__ = ["Fisheye"]
-
 
 class FisheyeRays(NamedTuple):
     """Parameters of the fisheye camera for kernels."""

@@ -7,8 +7,6 @@ from caster.jit.decorators import implement
 from caster.kernels.math.vec import add, dot, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
 
-__all__ = ["Orthographic"]
-
 
 class OrthographicRays(NamedTuple):
     """Parameters of the orthographic camera for kernels."""

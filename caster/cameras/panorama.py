@@ -10,8 +10,6 @@ from caster.kernels.math.vec import hypotenuse
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
 from caster.kernels.raster.wide_angle import hull_distortion_bound, ray_along, sphere_in_camera_space
 
-__all__ = ["Panorama"]
-
 # The sine of half the range of longitudes of a sphere is its radius over the horizontal distance of its centre. Near 1,
 # the angle is far more sensitive than the quotient, whose error is a few u: the quotient is widened by this factor.
 ASIN_SENSITIVITY = 1.0 + 2.0**-40

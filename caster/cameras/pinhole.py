@@ -9,8 +9,6 @@ from caster.jit.decorators import implement, inlined
 from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
 
-__all__ = ["Pinhole"]
-
 # A point is projected only if its depth exceeds this share of its l1 distance: then the rounding of its position moves
 # the projection by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
 MIN_DEPTH_SHARE = 1e-6

@@ -91,13 +91,6 @@ class Block(NamedTuple):
 # ---- text to blocks ----
 
 
-def _tokens(text: str) -> Iterator[Token]:
-    """The words of a text; braces need no spaces around them."""
-    for number, line in enumerate(text.split("\n"), 1):
-        for found in re.finditer(r"[{}]|[^\s{}]+", line):
-            yield found[0], Span(number, found.start() + 1, len(found[0]))
-
-
 def _parse_block(tokens: Iterator[Token], kind: str, at: Span, depth: int = 0) -> Block:
     """The rest of a block after its opening brace; of kind "", the whole file."""
     if depth > MAX_NESTING:
@@ -148,7 +141,12 @@ def _expect(tokens: Iterator[Token], brace: str, name: str, at: Span) -> None:
 def _sections(text: str) -> dict[str, Block]:
     """The blocks of a file by kind; both kinds of cameras as "Camera"."""
     sections = {name: Block("", START, []) for name in ("Background", "Lights", "Materials")}
-    for block in _parse_block(_tokens(text), "", START).blocks:
+    tokens = (  # braces need no spaces around them
+        (found[0], Span(number, found.start() + 1, len(found[0])))
+        for number, line in enumerate(text.split("\n"), 1)
+        for found in re.finditer(r"[{}]|[^\s{}]+", line)
+    )
+    for block in _parse_block(tokens, "", START).blocks:
         name = "Camera" if block.kind.endswith("Camera") else block.kind
         if name in sections and sections[name].kind:
             first = sections[name].at.line

@@ -19,8 +19,6 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.cluster import Cluster
 
-__all__ = ["bands_on"]
-
 LIBRARIES = ("numpy", "numba", "llvmlite")  # that results depend on
 WAITING_BANDS = 4  # of some 100 MB
 

@@ -17,7 +17,7 @@ from caster.system import processor
 from caster.system.process import FILE, OK
 from caster.system.terminal import folded
 
-__all__ = ["Finding", "Package", "find_package", "print_findings"]
+__all__ = ["Finding", "print_findings"]
 
 
 class Package(NamedTuple):

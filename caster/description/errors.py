@@ -8,16 +8,7 @@ from difflib import get_close_matches
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-__all__ = [
-    "Diagnostic",
-    "FileMissing",
-    "SceneError",
-    "diagnostics_of",
-    "error_prefix",
-    "field_error",
-    "join_words",
-    "suggestion",
-]
+__all__ = ["FileMissing", "SceneError", "error_prefix", "field_error", "suggestion"]
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from caster.description.errors import DataPath, Diagnostic, FileMissing, SceneError, diagnostics_of, error_prefix
 
-__all__ = ["Positions", "Span", "format_excerpt", "located_error", "model_of_text", "parse"]
+__all__ = ["model_of_text"]
 
 M = TypeVar("M", bound=BaseModel)
 

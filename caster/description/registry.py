@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from caster.description.fields import Description
 
-__all__ = ["Registry", "load_plugins"]
+__all__ = ["load_plugins"]
 
 Entry = TypeVar("Entry", bound=Description)
 

@@ -23,7 +23,6 @@ __all__ = [
     "rotations",
     "row_lengths",
     "sine_and_cosine",
-    "transform_points",
     "unit",
 ]
 

@@ -16,16 +16,7 @@ from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
-__all__ = [
-    "Packed",
-    "Triangles",
-    "concatenate_parts",
-    "forget_packed",
-    "pack",
-    "packed",
-    "primitive_count",
-    "rejected_faces",
-]
+__all__ = ["Packed", "Triangles", "concatenate_parts", "forget_packed", "pack", "packed", "primitive_count"]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from caster.geometry.packing import in_words
 from caster.image.exr import NO_ID, write_bands
 from caster.scene.model import Scene
 
-__all__ = ["aovs_to_channels", "channels_to_aovs", "hit_mask", "provenance", "write_render"]
+__all__ = ["aovs_to_channels", "hit_mask", "provenance", "write_render"]
 
 
 def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:

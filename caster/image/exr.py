@@ -36,7 +36,7 @@ from caster.image.exr_validation import (
 )
 from caster.system.atomic_files import OutputError, atomic_write
 
-__all__ = ["NO_ID", "Exr", "OutputError", "UnreadableExr", "Window", "read_exr", "write_exr"]
+__all__ = ["NO_ID", "Exr", "OutputError", "UnreadableExr", "read_exr", "write_exr"]
 
 NO_ID = 0xFFFFFFFF
 """`id.shape` and `id.prim` of a pixel that hits nothing."""

@@ -14,8 +14,6 @@ from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
 from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, fail, load_word, store_word
 
-__all__ = ["BoundCall", "Column", "Command", "CommandList", "Condition", "command"]
-
 
 class BoundCall:
     """A kernel bound to its arguments, except those at the places `given`: integers or tuples of integers.

@@ -16,7 +16,7 @@ from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
 from caster.scene.model import Directional, Point
 
-__all__ = ["RAY_KINDS", "Bounce", "SecondaryRays", "bounces", "spawn"]
+__all__ = ["RAY_KINDS", "Bounce", "bounces"]
 
 RAY_KINDS = ("camera", "reflected", "refracted", "shadow")
 """Names of the numbers in `SecondaryRays.kind`."""

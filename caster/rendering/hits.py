@@ -21,7 +21,7 @@ from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
 
-__all__ = ["Hits", "RayHits", "cast", "cast_any_lengths", "occluded", "trace", "trace_rays", "validated_rays"]
+__all__ = ["RayHits", "cast", "cast_any_lengths", "occluded", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 

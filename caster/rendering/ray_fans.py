@@ -15,8 +15,6 @@ from caster.kernels.surface.lighting import NOWHERE, PointLight
 from caster.rendering.bvh_construction import uses_bvh, vec3
 from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, numbers_between
 
-__all__ = ["find_rows"]
-
 SAMPLED_RAYS = 64  # by which a common origin is found
 
 

@@ -26,7 +26,7 @@ from caster.scene.textures import Checkerboard
 from caster.shapes import SHAPES, Sphere
 from caster.shapes.triangle import Triangle
 
-__all__ = ["compile_for", "warm_decisions", "warm_up", "warm_up_scenes"]
+__all__ = ["compile_for", "warm_decisions"]
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.
 WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (

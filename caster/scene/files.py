@@ -18,7 +18,7 @@ from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
 from caster.scene.model import Ambient, Diffuse, Directional, Scene
 from caster.shapes.mesh import Mesh
 
-__all__ = ["load_scene", "mesh_scene"]
+__all__ = ["load_scene"]
 
 
 SCENE_SUFFIXES = (".toml", ".json")

@@ -53,19 +53,7 @@ from caster.scene.export import canonical_json, fingerprint, to_toml
 from caster.scene.textures import AnyReflectance, Texture
 from caster.shapes import SHAPES
 
-__all__ = [
-    "MAX_FILM_SIDE",
-    "Ambient",
-    "Check",
-    "Diffuse",
-    "Film",
-    "Glass",
-    "Material",
-    "Mirror",
-    "Pixels",
-    "Point",
-    "Scene",
-]
+__all__ = ["MAX_FILM_SIDE", "Check", "Diffuse", "Film", "Material", "Pixels", "Scene"]
 
 # ---- lights and materials ----
 

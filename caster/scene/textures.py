@@ -26,7 +26,7 @@ from caster.kernels.surface.texturing import (
     Textures,
 )
 
-__all__ = ["Bitmap", "Checkerboard", "MeshColors", "Texture"]
+__all__ = ["Bitmap", "MeshColors"]
 
 MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
 FLOAT32_DECODING = 1e-6  # levels of sRGB that were decoded in float32 are up to 3.4e-7 off; two levels differ by 3e-4
@@ -155,12 +155,6 @@ class MeshColors(Texture):
         given, count = len(getattr(self, name)), len(getattr(mesh(), name))
         return "" if given == count else f"that has {given} colours, and the mesh {count} {name}"
 
-    def at_corners(self, faces: NDArray[np.int32], k: Any = slice(None)) -> NDArray[np.float64]:
-        """(m, 3, 3): the colours at the corners of the faces k; faces: (n, 3), numbers of vertices, of all."""
-        if self.vertices is None:
-            return np.repeat(np.asarray(self.faces)[k, None], 3, axis=1)
-        return np.asarray(self.vertices)[faces[k]]
-
     def rows(self, triangles: Any) -> NDArray[np.float64]:
         """(ROWS_PER_FACE m, 3): of each face a corner, its colour, and the gradients of red, green and blue."""
         a, b, c = triangles.vertices[triangles.faces].transpose(1, 0, 2)
@@ -169,7 +163,10 @@ class MeshColors(Texture):
         area = uu * vv - uv * uv  # squared, of the parallelogram
         scaled = [vv[:, None] * u - uv[:, None] * v, uu[:, None] * v - uv[:, None] * u]
         duals = scaled / np.where(area > 0.0, area, np.inf)[:, None]  # gradients of the barycentrics b1, b2
-        colors = self.at_corners(triangles.faces)
+        if self.vertices is None:  # (m, 3, 3): the colours at the corners of each face
+            colors = np.repeat(np.asarray(self.faces)[:, None], 3, axis=1)
+        else:
+            colors = np.asarray(self.vertices)[triangles.faces]
         changes = (colors[:, 1:] - colors[:, :1]).transpose(1, 0, 2)
         gradients = (changes[..., None] * duals[..., None, :]).sum(axis=0)
         return np.concatenate([a[:, None], colors[:, :1], gradients], axis=1).reshape(-1, 3)

@@ -7,8 +7,6 @@ import numpy as np
 from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import TriangleShape
 
-__all__ = ["Cube", "Rectangle"]
-
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 FACES = np.array([[0, 1, 3], [1, 2, 3]], np.int32)
 

@@ -14,8 +14,6 @@ from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces, normalize_ro
 from caster.geometry.world_space import MeshShape
 from caster.kernels.math.angles import sinc_and_cos
 
-__all__ = ["Heightfield"]
-
 VERTICES_PER_CHUNK = 1 << 16  # vertices; temporaries take some 200 bytes each
 
 _series_of_arrays = inspect.unwrap(sinc_and_cos)

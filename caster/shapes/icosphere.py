@@ -9,8 +9,6 @@ from pydantic import Field
 from caster.geometry.triangle_mesh import Mesh, normalize_rows
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Icosphere"]
-
 GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 
 # Three golden rectangles at right angles, and the faces between their corners.

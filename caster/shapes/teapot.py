@@ -14,8 +14,6 @@ from pydantic import Field
 from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces, normalize_rows
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Teapot"]
-
 # The part each patch belongs to: body, handle, spout, lid, and the bottom, which closes the body. Patches of
 # one part join smoothly; parts only touch.
 PARTS = np.repeat([0, 1, 2, 3, 0], [12, 4, 4, 8, 4])

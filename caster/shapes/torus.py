@@ -11,8 +11,6 @@ from caster.description.transform import sine_and_cosine
 from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Torus"]
-
 
 def _circle(parts: int) -> Floats:
     """(2, parts) sines and cosines of the parts of a turn."""

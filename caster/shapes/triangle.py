@@ -9,8 +9,6 @@ from caster.description.fields import Flag, RowOf, UnitVec3, Vec2, Vec3
 from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import TriangleShape
 
-__all__ = ["Triangle"]
-
 
 class Triangle(TriangleShape):
     """Three vertices; the normal is (v1 - v0) x (v2 - v0)."""

@@ -18,7 +18,6 @@ __all__ = [
     "append_text",
     "atomic_write",
     "check_folder",
-    "check_writable",
     "distrust",
     "read_sealed",
     "write_bytes",

@@ -22,7 +22,7 @@ from caster.description.errors import SceneError
 from caster.system.atomic_files import ScratchFolder
 from caster.system.process import interrupted
 
-__all__ = ["DASK", "CallEnded", "Cluster", "ClusterError", "Outcome"]
+__all__ = ["CallEnded", "Cluster", "Outcome"]
 
 DASK = "dask"  # the engine; "dask:ADDRESS" is a cluster that runs there
 # Of a call whose worker ends: the first end may have had a reason outside of it, such as too little memory. A cluster

@@ -30,7 +30,6 @@ __all__ = [
     "NOT_COMPARABLE",
     "OK",
     "PARENT_VARIABLE",
-    "PIPE_CLOSED",
     "USAGE",
     "at_forced_exit",
     "die_with_parent",

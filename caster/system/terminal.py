@@ -28,7 +28,6 @@ __all__ = [
     "LINE_CHARACTERS",
     "ProgressBar",
     "StatusLine",
-    "compilation_reported",
     "folded",
     "printable",
     "report_stage",

@@ -1,12 +1,11 @@
 """The registry of timed ray casters, one for each row of the tables."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from mitsuba_ref.bench.drivers import DEFAULT, FILM, NEAREST, ROBUST
-from mitsuba_ref.bench.result import CANDIDATE_ROW, REFERENCE_ROW
+from mitsuba_ref.bench.result import REFERENCE_ROW
 from mitsuba_ref.reference import variants
 
 
@@ -50,9 +49,3 @@ CASTERS = (
     ),
 )
 BY_KEY = {caster.key: caster for caster in CASTERS}
-
-
-def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:
-    """The row of a candidate; its film is made smaller until it is cast within MAX_CAST_S."""
-    options = {"text": text, "precision": precision, "served": served, "folder": os.getcwd()}
-    return TimedCaster(CANDIDATE_ROW, text, "drivers:Candidate", options=options, first=32)

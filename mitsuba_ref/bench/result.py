@@ -131,11 +131,6 @@ def overview(run: Run) -> list[list[str]]:
     return found
 
 
-def overview_text(run: Run) -> str:
-    head = "milliseconds of ours, and how many times as fast as each of the others it is"
-    return "\n".join([head, *aligned(overview(run), left=2)])
-
-
 def as_text(scene: SceneResult) -> str:
     """The table under a line with the scene."""
     aovs = f"; {', '.join(scene.aovs)}" if scene.aovs != AOVS else ""

@@ -127,11 +127,9 @@ def fisheye_rays(camera: Fisheye, film: Film, x: Array, y: Array) -> Rays:
     return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
 
 
-def random_fisheye(rng: Rng, size: float, view: RandomView) -> Fields:
-    return {**view(), "fov": float(rng.uniform(60.0, 360.0))}
-
-
-FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
+FISHEYE = CameraReference(
+    Fisheye, fisheye_rays, random_fields=lambda rng, size, view: {**view(), "fov": float(rng.uniform(60.0, 360.0))}
+)
 
 
 def panorama_rays(camera: Panorama, film: Film, x: Array, y: Array) -> Rays:

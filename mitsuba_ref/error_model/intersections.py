@@ -245,11 +245,6 @@ def by_approach(prims: Any, k: Array, o: Array, d: Array, **_: Any) -> Array:
     return nearest.astype(np.float32)[:, None]
 
 
-def by_center(prims: Any, k: Array, **_: Any) -> Array:
-    """Group key of spheres in the LLVM variant: float32 throughout, so the centre relative to the origin is rounded."""
-    return prims.center[k]
-
-
 def single_group(k: Array, **_: Any) -> Array:
     """All pixels in one group: for kinds that declare no shared rounding; no bias is tested for them."""
     return np.zeros((len(k), 1))

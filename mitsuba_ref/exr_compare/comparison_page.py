@@ -19,7 +19,6 @@ from mitsuba_ref.report.html_report import (
     MAX_PIXELS,
     index_row,
     page_words,
-    refuse_page_of_others,
     report_folder,
     run_facts,
     write_page,
@@ -99,12 +98,6 @@ def flip(ours: Array, reference: Array) -> str:
 
 
 # ---- the page ----
-
-
-def remove_page(folder: Path) -> None:
-    """Remove the page of an earlier run, which would be taken for this one's. Raises OutputError for others' files."""
-    refuse_page_of_others(folder / "index.html")
-    (folder / "index.html").unlink(missing_ok=True)
 
 
 def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:

@@ -20,8 +20,9 @@ from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, is_ours, to_our_conventions
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, ExrPair, bound_of, scene_in
+from mitsuba_ref.report.html_report import refuse_page_of_others
 
-__all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
+__all__ = ["Reading", "Tolerances", "compare_exr"]
 
 FileName = str | os.PathLike[str]
 Image = FileName | Mapping[str, Array]
@@ -54,7 +55,9 @@ def compare_exr(
     ways, SceneError for an `ignore` that matches no channel.
     """
     if html is not None:
-        comparison_page.remove_page(Path(html))
+        page = Path(html) / "index.html"  # of an earlier run, which would be taken for this one's
+        refuse_page_of_others(page)
+        page.unlink(missing_ok=True)
     reading, sources = reading or Reading(), (ours, reference)
     named = zip(sources, SIDES, strict=True)
     names = [str(each) if isinstance(each, str | os.PathLike) else who for each, who in named]

@@ -31,7 +31,6 @@ from mitsuba_ref.judge.hypotheses import (
     WrongPixels,
     area_vectors,
     explanations,
-    has_wrong_id,
     has_wrong_normal,
     id_mistakes,
     mistakes,
@@ -172,7 +171,13 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
         looked_at = sample_rows(inexact, MAX_DIAGNOSED_PIXELS)
         g = _pixels(judge, judgement, looked_at)
         g = causes.explain(g, g.off, mistakes, _describe_hits)
-        g = causes.explain(g, has_wrong_id(g), id_mistakes, _describe_ids)
+        named_wrongly = (g.named != g.numbers_of(g.prim)).any(axis=0)  # a shape or primitive that is not hit
+        g = causes.explain(
+            g,
+            named_wrongly,
+            id_mistakes,
+            lambda f: iter([("another primitive than the first one, at the same t", f.hit)]),
+        )
         causes.explain(g, has_wrong_normal(g), normal_mistakes, _describe_normals)
         inexact = np.setdiff1d(inexact, looked_at)
     causes.take_alike(np.union1d(judgement.not_adjudicated, inexact))
@@ -219,10 +224,6 @@ def _is_behind_first(f: WrongPixels) -> Array:
     t, at = f.given_t[f.roots.ray], f.roots.at
     behind[f.roots.ray[np.abs(t - at.t) <= np.maximum(at.t_error, MATCH_RTOL * np.abs(t))]] = True
     return behind & f.given_hit & f.hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
-
-
-def _describe_ids(f: WrongPixels) -> Iterator[tuple[str, Array]]:
-    yield "another primitive than the first one, at the same t", f.hit
 
 
 def _describe_normals(f: WrongPixels) -> Iterator[tuple[str, Array]]:

@@ -515,12 +515,6 @@ SELECTIONS = (
 # ---- numbers of shapes and primitives
 
 
-def has_wrong_id(f: WrongPixels) -> Array:
-    """(m,) bool: a shape or primitive is named that is not hit."""
-    wrong: Array = (f.named != f.numbers_of(f.prim)).any(axis=0)
-    return wrong
-
-
 def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong numbers at right surfaces."""
     hit, columns = f.judge.hit, f.columns

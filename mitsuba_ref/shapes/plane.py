@@ -141,7 +141,10 @@ def intersect(prims: Patches, k: Array, o: Array, d: Array, ku: float) -> tuple[
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # a single rounding: ku / K
     within_one = local.certain | other.certain
     met = np.minimum(triangle_heights(corners), triangle_heights(others))
-    height = np.where(within_one, met, _least_height(prims.half[k], face))
+    # Else the smallest height of the triangles around the ring of `face`: that of the narrow ones in the ring inside
+    # it, whose area is h^2 and longest edge sqrt(10) h.
+    inside = np.maximum(np.where(face == 0, 0, (face - 2) // 8 + 1) - 2, 0)
+    height = np.where(within_one, met, prims.half[k] * 2.0**inside * 2.0 / np.sqrt(10.0))
     t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
     n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
     n_error = np.where(np.isnan(n_error), np.inf, n_error)  # corners that coincide in float32
@@ -197,12 +200,6 @@ def _face_of_hit(prims: Patches, k: Array, o: Array, d: Array, t: Array) -> tupl
     within = (ring <= PATCH_RINGS) & (size * prims.half[k] <= LARGEST_PATCH_COORDINATE / 4.0) & np.isfinite(t)
     ring = np.clip(ring, 0, PATCH_RINGS)
     return np.where(ring == 0, 0, 2 + 8 * (ring - 1) + 2 * side), within
-
-
-def _least_height(half: Array, face: Array) -> Array:
-    """Smallest height of the triangles around the ring of `face`: that of the narrow ones in the ring inside it."""
-    ring = np.where(face == 0, 0, (face - 2) // 8 + 1)
-    return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
 
 
 def describe_surface(part: Planes, k: int) -> Fields:

@@ -29,7 +29,6 @@ from mitsuba_ref.error_model.intersections import (
     Intersections,
     UvSpace,
     by_approach,
-    by_center,
     by_columns,
     by_matrix,
     dot,
@@ -154,10 +153,6 @@ def unit_sphere_points(rng: Rng, count: int, sort: str) -> SurfacePoints:
     return SurfacePoints(pushed_outside(rng, u, sort), perpendicular(u), u)
 
 
-def random_fields(rng: Rng, lattice: bool) -> Fields:
-    return {"center": random_point(rng, lattice), "radius": random_length(rng, lattice)} if coin_flip(rng) else {}
-
-
 def random_cloud(rng: Rng, lattice: bool) -> Fields:
     """One to eight spheres, with one radius each or a common one."""
     count = int(rng.integers(1, 9))
@@ -201,7 +196,8 @@ SPHERES = PrimitiveReference(
     on_spheres,
     describe_all=describe_spheres,
     rounding_groups=(by_approach,),
-    rounding_groups_llvm=(by_center,),
+    # float32 throughout, so that the centre relative to the origin is rounded
+    rounding_groups_llvm=(lambda prims, k, **_: prims.center[k],),
     known_defects=DEFECTS,
 )
 ELLIPSOIDS = PrimitiveReference(
@@ -221,7 +217,15 @@ ELLIPSOIDS = PrimitiveReference(
     defect_view=lambda prims, k, o, d, t: DefectView(stretch=float(np.linalg.norm(prims.to_object[k] @ d))),
 )
 REFERENCE = ShapeReference(
-    Sphere, to_xml, (SPHERES, ELLIPSOIDS), expected_spheres, random_fields, groups=("quadric", "small"), analytic=True
+    Sphere,
+    to_xml,
+    (SPHERES, ELLIPSOIDS),
+    expected_spheres,
+    lambda rng, lattice: (
+        {"center": random_point(rng, lattice), "radius": random_length(rng, lattice)} if coin_flip(rng) else {}
+    ),
+    groups=("quadric", "small"),
+    analytic=True,
 )
 CLOUD = replace(REFERENCE, describes=SphereCloud, random_fields=random_cloud, groups=("quadric",))
 

@@ -215,11 +215,6 @@ def random_mesh(rng: Rng, lattice: bool) -> Fields:
     return {"face_normals": drawn["face_normals"], **arrays}
 
 
-def random_torus(rng: Rng, lattice: bool) -> Fields:
-    counts = {"segments": int(rng.integers(3, 7)), "sides": int(rng.integers(3, 6))}
-    return {"major_radius": 0.75, "minor_radius": 0.25, "face_normals": coin_flip(rng), **counts}
-
-
 def random_heightfield(rng: Rng, lattice: bool) -> Fields:
     amplitude = float(rng.choice([0.0, 0.25]))
     counts = {"resolution": int(rng.integers(1, 5)), "waves": 2, "seed": int(rng.integers(100))}
@@ -258,6 +253,15 @@ CUBE = triangle_mesh_reference(Cube, groups=("flat", "mesh"))
 ICOSPHERE = triangle_mesh_reference(
     Icosphere, lambda rng, _: {"subdivisions": int(rng.integers(0, 2)), "face_normals": coin_flip(rng)}
 )
-TORUS = triangle_mesh_reference(Torus, random_torus)
+TORUS = triangle_mesh_reference(
+    Torus,
+    lambda rng, lattice: {
+        "segments": int(rng.integers(3, 7)),
+        "sides": int(rng.integers(3, 6)),
+        "face_normals": coin_flip(rng),
+        "major_radius": 0.75,
+        "minor_radius": 0.25,
+    },
+)
 HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)
 TEAPOT = triangle_mesh_reference(Teapot, lambda rng, _: {"subdivisions": 1, "face_normals": coin_flip(rng)})

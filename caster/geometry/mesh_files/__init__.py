@@ -24,7 +24,7 @@ from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_off, parse_ply, parse_ply_spheres
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
-__all__ = ["MeshFolders", "load_points"]
+__all__ = ["load_points"]
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
