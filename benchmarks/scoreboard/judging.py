@@ -172,7 +172,7 @@ def compared(answer: Answer | Absent, alone: PreparedSetting) -> tuple[bool, lis
     """(whether the answer to one ray is wrong, in lines) by exact.py and the bounds of the judge."""
     if isinstance(answer, Absent):
         return True, [f"caster: {answer.why.partition(chr(10))[0]}"]
-    corners = np.concatenate([part.vertices[part.faces] for part in alone.packed.parts])
+    corners = np.concatenate([part.vertices[part.faces] for part in alone.model.packed.parts])
     t, prims = exact.first_hit(corners.tolist(), alone.o[0].tolist(), alone.d[0].tolist())
     given, hit = float(answer.t[0]), bool(answer.hit[0])
     lines = [f"caster: t {given!r} {given.hex()}" if hit else "caster: miss"]
@@ -217,7 +217,7 @@ def speeds(commands: Sequence[ServedCommand]) -> list[tuple[float, float]]:
     finally:
         os.sched_setaffinity(0, cores)
     scan = setting(BUILTIN, "scan")
-    mesh, (part,) = mesh_bytes(scan.packed), scan.packed.parts
+    mesh, (part,) = mesh_bytes(scan.model.packed), scan.model.packed.parts
     rng = np.random.default_rng(SEED)
     low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
     inside = rng.uniform(low, high, (MOST_RAYS, 3))

@@ -125,7 +125,10 @@ def test_what_the_store_holds_in_place_of_a_verdict_is_judged_anew(judged, monke
 def test_the_bytes_of_every_source_file_count():
     found = {name: source.digest for name, source in verdict_files.sources().items()}
     files = [path for package in verdict_files.PACKAGES for path in (ROOT / package).rglob("*.py")]
-    assert found == {
+    teapot = (ROOT / "caster/shapes/teapot").with_suffix
+    expected = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in files
     }
+    with_data = hashlib.sha256(teapot(".py").read_bytes() + teapot(".txt").read_bytes()).hexdigest()
+    assert found == expected | {"caster.shapes.teapot": with_data}
