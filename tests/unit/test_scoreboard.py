@@ -111,9 +111,9 @@ def test_without_the_leak_the_cell_is_right(tmp_path, monkeypatch):
 
 def test_the_fractions_agree_with_the_oracle():
     ready = judging.setting(*EDGES, RAYS)
-    (part,) = ready.packed.parts
+    (part,) = ready.model.packed.parts
     corners = part.vertices[part.faces].tolist()
-    oracle = Oracle(ready.packed)
+    oracle = Oracle(ready.model.packed)
     for o, d in zip(ready.o[:4].tolist(), ready.d[:4].tolist(), strict=True):
         t, prims = exact.first_hit(corners, o, d)
         answer = oracle.first_hit(o, d)
