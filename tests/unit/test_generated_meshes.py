@@ -44,6 +44,26 @@ def signed_volume(mesh):
     return np.sum(a * np.cross(b, c)) / 6
 
 
+# The axes along which u and v grow from 0 to 1 on each side of the cube, as on that of Mitsuba.
+CUBE_UV_AXES = {"+x": "+y-z", "-x": "+y+z", "+y": "-x-z", "-y": "+z+x", "+z": "+y+x", "-z": "-y+x"}
+
+
+def axis(name):
+    """The unit vector of "+x" to "-z"."""
+    return np.eye(3)["xyz".index(name[1])] * float(f"{name[0]}1")
+
+
+def test_uv_of_rectangle_and_cube_run_along_the_axes_of_mitsubas_own():
+    mesh = caster.Rectangle().mesh()
+    assert np.array_equal(mesh.uv, (mesh.vertices[:, :2] + 1.0) / 2.0)
+    mesh = caster.Cube().mesh()
+    for face in mesh.faces:
+        corners = mesh.vertices[face]
+        (side,) = (name for name in CUBE_UV_AXES if (corners @ axis(name) == 1.0).all())
+        u, v = axis(CUBE_UV_AXES[side][:2]), axis(CUBE_UV_AXES[side][2:])
+        assert np.array_equal(mesh.uv[face], 0.5 + 0.5 * np.stack([corners @ u, corners @ v], axis=1))
+
+
 @pytest.mark.parametrize("name", MESHES)
 def test_a_generated_mesh_is_closed_but_for_its_rims_and_looks_outwards(name):
     mesh, faces, open_edges = MESHES[name]
