@@ -141,9 +141,9 @@ class TileCaster:
             yield command(cast_fan, fan, *about, not self._any_hit, when=(groups.counts, 0))
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
-        """Casts rays that the first fan does not have, by the other ones, then through the tree."""
+        """A function that casts the rays that are not in the first fan, `count` of them: by other fans, then the tree."""
         workspace, row = new_workspace(), np.zeros((1, TILE_NUMBERS), np.int64)
-        lists: dict[int, CommandList] = {}  # made when first needed, since kinds have to be projected for each
+        lists: dict[int, CommandList] = {}  # by fan; made when first needed, since each projects all primitives
 
         def go(count: int) -> None:
             row[0, LINES] = count // WIDTH

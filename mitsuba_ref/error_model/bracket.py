@@ -156,9 +156,9 @@ def within_error(claimed: Array, ray: Array, at: Array, error: Array) -> Array:
 
 @without_overflow_warnings
 def latest_hits(found: RayIntersections, line: Rays, *, closed: bool = True) -> Array:
-    """(m,) largest t that rounding allows for a certain hit; inf if the hit is not certain or not in range.
+    """(m,) largest t that rounding allows for each hit; inf if it is not in range, or may be a miss.
 
-    closed: no ray passes between two faces.
+    closed: no ray passes between two faces, so a hit in doubt at an edge counts if a second face shares that edge.
     """
     at, ray = found.at, found.ray
     in_range = (at.t - at.t_error > line.t_min[ray]) & (at.t + at.t_error <= line.t_max[ray])

@@ -105,7 +105,10 @@ class LightChoices(NamedTuple):
 
 
 def smallest_error_ratio(ours: Array, fixed: Array, choices: LightChoices, ku: float) -> Array:
-    """(m,) smallest ratio of error to bound, over all choices of lights, of ours (m, 3) against fixed plus lights."""
+    """(m,) smallest ratio of error to bound of ours (m, 3) against `fixed` plus lights, over the choices of lights.
+
+    Of each pixel, MAX_UNCERTAIN_LIGHTS lights in doubt at most are tried both ways; the others keep their first value.
+    """
     count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
     best = np.full(len(ours), np.inf)
     order = np.argsort(~choices.doubt, axis=0, kind="stable")[..., None]  # the lights of each pixel in doubt first

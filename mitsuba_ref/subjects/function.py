@@ -67,9 +67,10 @@ def imported(text: str) -> Callable[..., Any]:
 
 
 def spawn_rule(text: str) -> Callable[[Array, Array, Array], Array]:
-    """A candidate's rule for origins, function(points, normals, directions), which raises NoAnswer. Raises SceneError.
+    """The function(points, normals, directions) that gives the origins of a candidate's secondary rays.
 
-    Arrays are (n, 3) float64: normals of length 1 outwards, and it returns the origins.
+    Its arguments and its result are (n, 3) float64; normals point outwards and have length 1. It raises NoAnswer.
+    Raises SceneError for a text that names no function.
     """
     with error_prefix(f"--spawn {text}"):
         call = imported(text)

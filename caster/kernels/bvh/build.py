@@ -1,4 +1,7 @@
-"""Kernels of BVH construction: bounding boxes and splits by the binned surface area heuristic (Wald 2007)."""
+"""Kernels of BVH construction: bounding boxes and splits by the binned surface area heuristic (Wald 2007).
+
+caster/rendering/bvh_construction.py builds the trees with them.
+"""
 
 import math
 from typing import Any, NamedTuple
