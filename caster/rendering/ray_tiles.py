@@ -141,7 +141,7 @@ class TileCaster:
             yield command(cast_fan, fan, *about, not self._any_hit, when=(groups.counts, 0))
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
-        """A function that casts the rays that are not in the first fan, `count` of them: by other fans, then the tree."""
+        """A function that casts `count` rays that are not in the first fan: by other fans, then by the tree."""
         workspace, row = new_workspace(), np.zeros((1, TILE_NUMBERS), np.int64)
         lists: dict[int, CommandList] = {}  # by fan; made when first needed, since each projects all primitives
 
