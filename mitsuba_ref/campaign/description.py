@@ -108,7 +108,7 @@ class FilmJob(Description):
     """Films of random scenes, judged as `validate` does."""
 
     type: Literal["films"] = "films"
-    families: Some[Literal[FILM_FAMILIES]] = (FILMS.name,)  # type: ignore[valid-type]
+    families: Some[Literal[FILM_FAMILIES]] = (FILMS.name,)  # type: ignore[valid-type]  # names known at run time
     scenes: Many  # of each family and seed
     sizes: Some[Size] = ((224, 224),)
     bounces: Depth = 0
@@ -118,7 +118,7 @@ class FuzzJob(Description):
     """Examples, checked as `fuzz` does."""
 
     type: Literal["fuzz"] = "fuzz"
-    families: Some[Literal[FUZZ_FAMILIES]] = FUZZ_FAMILIES  # type: ignore[valid-type]
+    families: Some[Literal[FUZZ_FAMILIES]] = FUZZ_FAMILIES  # type: ignore[valid-type]  # names known at run time
     examples: Many  # of each family and seed
     rays: Some[Count] = (RAYS_PER_EXAMPLE,)  # of an example
     judge_every: Index = 16
@@ -128,7 +128,7 @@ class StressJob(Description):
     """Settings of sweeps, scored as `stress` does."""
 
     type: Literal["stress"] = "stress"
-    families: Some[Literal[STRESS_FAMILIES]] = STRESS_FAMILIES  # type: ignore[valid-type]
+    families: Some[Literal[STRESS_FAMILIES]] = STRESS_FAMILIES  # type: ignore[valid-type]  # names known at run time
     values: Some[Positive] | None = None  # of the swept quantity; none: those of the family
     rays: Some[Count | None] = (None,)  # of a setting; none: as `stress`
 
