@@ -32,15 +32,17 @@ def pytest_configure(config: pytest.Config) -> None:
 def remember_mitsuba(memory: Path) -> None:
     """Store Mitsuba's answers in a folder."""
     from mitsuba_ref.reference import mitsuba_process
-    from mitsuba_ref.reference.messages import TraceResponse
+    from mitsuba_ref.reference.messages import TraceRequest, TraceResponse, message_of
     from mitsuba_ref.reference.store import StoreFolder
 
     store, resident = StoreFolder(memory, MEMORY_BYTES), mitsuba_process.ask_resident
 
     def ask(request: Any, timeout: float) -> Any:
+        if not isinstance(request, TraceRequest):
+            return resident(request, timeout)
         key = mitsuba_process.request_key(request)
         if (content := store.get(key)) is not None:
-            return request.response(content)
+            return message_of(content)
         answer = resident(request, timeout)
         if isinstance(answer, TraceResponse):
             store.put(key, answer.to_bytes())

@@ -9,7 +9,7 @@ import pytest
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "agreement"))
 from random_scenes import VIEWS, name, random_scene
 from same_bits import assert_same_bits
-from test_cullings import cullings_for
+from test_cullings import CULLINGS
 
 from caster.aovs import BY_NAME
 from caster.rendering.images import render
@@ -31,7 +31,7 @@ def test_each_way_to_an_aov_gives_the_same_bits(shape, camera):
     expected = render(scene, tuple(BY_NAME), threads=1, culling="brute-force")
     for aov, image in expected.items():
         assert (image[~expected.hit] == MISSES.get(aov, 0)).all(), aov
-    for culling in cullings_for(scene):
+    for culling in CULLINGS:
         assert_same_bits(expected, render(scene, tuple(BY_NAME), threads=1, culling=culling), culling)
     for aov in BY_NAME:
         assert_same_bits({aov: expected[aov]}, dict(render(scene, (aov,), threads=1).items()), aov)

@@ -146,6 +146,22 @@ def test_every_listed_test_is_there():
     assert all(list(ROOT.glob(pattern)) for patterns in GROUPS.values() for pattern in patterns)
 
 
+def test_what_mutants_are_held_against_beside_the_tests_can_be_collected():
+    files = [str(ROOT / name) for name in (END_TO_END, SMALL_AGREEMENT, SMALL_RAYS)]
+    found = printed_by("-P", "-m", "pytest", "-q", "--collect-only", *files)
+    assert all(f"{Path(name).name}::" in found for name in files)
+
+
+def test_mitsuba_answers_the_second_run_of_a_test_from_the_folder(tmp_path):
+    """A stored answer that cannot be read would kill every mutant of the judge."""
+    test = f"{END_TO_END}::test_validate_passes[one-sphere]"
+    paths = f"{ROOT}:{ROOT}/benchmarks"
+    for _ in range(2):
+        words = ("-P", "-m", "pytest", "-q", "-p", "mutants.measuring", test)
+        printed_by(*words, PYTHONPATH=paths, MUTANTS_MEMORY=str(tmp_path))
+        assert len(list(tmp_path.iterdir())) == 1
+
+
 def test_equivalent_mutants_whose_lines_have_changed_are_found(tmp_path):
     (tmp_path / "module.py").write_bytes(MODULE)
     keys = [f"module.py {key}" for key in keys_of(MODULE, mutants_of(MODULE))]
