@@ -14,6 +14,8 @@ from caster.geometry.triangle_mesh import normalize_rows
 from caster.jit.simd import CHILDREN
 from caster.kernels.bvh.build import (
     BOX_PADDING,
+    COUNT,
+    INNER,
     LEAF_SIZE,
     MAX_PRIMITIVES,
     MIN_DIRECTION,
@@ -76,11 +78,11 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
     center, unit = (x, y, z), _unit(least, largest, np.array([x, y, z]))
     boxes, order = np.empty((count, 6), np.float32), np.arange(count, dtype=np.int32)
     quantize_boxes(low, high, center, unit, boxes, 0, count)
-    nodes = _build_binary(boxes, order, threads)
+    binary_boxes, binary_links = _build_binary(boxes, order, threads)
     # collapse them into nodes of CHILDREN, of which there are at most as many as inner binary nodes
-    capacity = max(1, int(np.count_nonzero(nodes[1][:, 1] < 0)))
+    capacity = max(1, int(np.count_nonzero(binary_links[:, COUNT] == INNER)))
     wide_boxes, links = np.empty((capacity, 6, CHILDREN), np.float32), np.empty((capacity, CHILDREN), np.int32)
-    number = collapse(*nodes, wide_boxes, links)
+    number = collapse(binary_boxes, binary_links, wide_boxes, links)
     extent = float(max(-low.min(), low.max(), -high.min(), high.max()))
     flat = max(MIN_DIRECTION_PER_UNIT * unit, MIN_DIRECTION)
     return Tree(wide_boxes[:number].copy(), links[:number].copy(), order, center, unit, flat, extent, BOX_PADDING)
@@ -101,8 +103,8 @@ def _build_binary(boxes: np.ndarray, order: np.ndarray, threads: int) -> tuple[n
     node_boxes, links = np.empty((2 * count, 6), np.float32), np.zeros((2 * count, 2), np.int32)
     enough = LEAF_SIZE if count < PARALLEL_MIN_PRIMITIVES else count // PARALLEL_SUBTREES
     top = build_binary(boxes, order, 0, count, enough, node_boxes, links, 0, 1)
-    ends = np.flatnonzero(links[:top, 1] > LEAF_SIZE)
-    room = 2 * links[ends, 1] - 2  # nodes below the root of a tree of so many leaves
+    ends = np.flatnonzero(links[:top, COUNT] > LEAF_SIZE)
+    room = 2 * links[ends, COUNT] - 2  # nodes below the root of a tree of so many leaves
     parts = np.column_stack([ends, links[ends], top + np.cumsum(room) - room]).tolist()
 
     def build(part: list[int]) -> None:

@@ -204,7 +204,9 @@ class Cluster:
         found: dict[Any, Outcome] = {}  # of those that are finished, and wait for an earlier one
         try:
             for args in calls:
-                while len(found) >= waiting or len(sent) - len(found) >= CALLS_PER_WORKER * self._worker_count():
+                workers = self.client.scheduler_info(n_workers=-1).get("workers", ())
+                room = CALLS_PER_WORKER * max(1, len(workers))  # also while the cluster is not connected
+                while len(found) >= waiting or len(sent) - len(found) >= room:
                     yield from self._finished(sent, found)
                 call = _Call(function, pickle.dumps(args), os.getcwd(), self.identify, self.expected, seconds)
                 future = self.client.submit(call, pure=False)
@@ -215,10 +217,6 @@ class Cluster:
         finally:
             with contextlib.suppress(Exception):
                 self.client.cancel([*sent], force=True)
-
-    def _worker_count(self) -> int:
-        """At least 1, also while the cluster is not connected."""
-        return max(1, len(self.client.scheduler_info(n_workers=-1).get("workers", {})))
 
     def _finished(self, sent: deque[Any], found: dict[Any, Outcome]) -> Iterator[Outcome]:
         """Wait for a call to finish, then take outcomes from the left as far as there are any.

@@ -256,8 +256,9 @@ def hints(exr: Exr, other: Exr, reading: Reading) -> Iterator[str]:
         return
     depth, known = (stacked(each, ["depth.Z"])[..., 0] for each in (exr, other))
     both = np.isfinite(depth) & np.isfinite(known)
-    scenes = (reading.scene, scene_in(exr), scene_in(other))
-    for meaning, distance in distances(depth, reading, scenes).items() if both.any() and not reading.depth else ():
+    if reading.depth or not both.any():
+        return
+    for meaning, distance in distances(depth, reading, (reading.scene, scene_in(exr), scene_in(other))).items():
         fits = np.abs(distance[both] - known[both]) <= HINT_RTOL * np.abs(known[both])
         if meaning != DISTANCE and fits.mean() >= NEARLY_ALL:
             yield f"depth looks like {MEANINGS[meaning]}: --depth {meaning}"

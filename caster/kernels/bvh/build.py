@@ -25,6 +25,8 @@ STACK_SIZE = 144 * (CHILDREN - 1)
 LEAF_SIZE_BASE = 8  # more than a leaf has
 MAX_PRIMITIVES = 2**31 // LEAF_SIZE_BASE  # whose leaves fit into links
 
+FIRST, COUNT, INNER = 0, 1, -1  # columns of the links of binary nodes, and the count of a node that is no leaf
+
 # What is hit is hit exactly, but the points of a hull are sums of four numbers, off by 4 u of their magnitudes at most:
 # 16 u (|o| + extent) cover them. Up to 7 u more are lost where boxes and origins are taken relative to the tree's
 # centre and multiplied by 1/d (caster/kernels/bvh/traversal.py), so boxes are widened by 24.
@@ -45,7 +47,7 @@ class Tree(NamedTuple):
 
     # (nodes, 6, CHILDREN) float32: low x, y, z, high x, y, z of each; where there is none, low above high
     boxes: np.ndarray
-    # (nodes, CHILDREN) int32: what is in each box, the number of a node or ~(NUMBERS start + number) for
+    # (nodes, CHILDREN) int32: what is in each box, the number of a node or ~(LEAF_SIZE_BASE start + number) for
     # order[start:start + number]; nothing where there is no box
     links: np.ndarray
     order: np.ndarray  # (n,) int32, primitive numbers within the kind
@@ -203,7 +205,8 @@ def build_binary(
     """Fill binary nodes over order[start:stop], down to runs of at most `enough`.
 
     The root is node `root`, the others are numbered from `free` on; returns the number after the last. node_boxes:
-    (room, 6); links: (room, 2), (the first of two children, -1), or in a leaf (start in order, how many).
+    (room, 6); links: (room, 2): (its first primitive in `order`, how many) of a leaf, (the first of two children,
+    INNER) of any other.
     """
     stack = np.zeros((BUILD_STACK_SIZE, 4), np.int64)  # start, stop, node, depth
     counts, bounds = np.zeros(BINS, np.int64), np.zeros((BINS, 6))
@@ -214,12 +217,12 @@ def build_binary(
         first, last, node, depth = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
         spread = bound_run(boxes, order, first, last, node_boxes[node])
         if last - first <= enough:
-            links[node, 0], links[node, 1] = first, last - first
+            links[node, FIRST], links[node, COUNT] = first, last - first
             continue
         middle = (first + last) // 2
         if depth < MAX_SAH_DEPTH and spread[2] > spread[1] and spread[2] - spread[1] < math.inf:
             middle = partition(boxes, order, (first, last), spread, counts, bounds)
-        links[node, 0], links[node, 1] = free, -1
+        links[node, FIRST], links[node, COUNT] = free, INNER
         for child in range(2):
             stack[top, 0], stack[top, 1] = (first, middle) if child == 0 else (middle, last)
             stack[top, 2], stack[top, 3] = free + child, depth + 1
@@ -247,12 +250,12 @@ def collapse(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
             child = inside[j]
             for c in range(6):
                 wide_boxes[node, c, j] = boxes[child, c]
-            if links[child, 1] < 0:
+            if links[child, COUNT] == INNER:
                 origin[nodes] = child
                 wide_links[node, j] = nodes
                 nodes += 1
             else:
-                wide_links[node, j] = ~(LEAF_SIZE_BASE * links[child, 0] + links[child, 1])
+                wide_links[node, j] = ~(LEAF_SIZE_BASE * links[child, FIRST] + links[child, COUNT])
         node += 1
     return nodes
 
@@ -266,10 +269,10 @@ def open_largest(boxes: Any, links: Any, inside: Any) -> int:
         for j in range(number):
             k = inside[j]
             area = half_area(row(boxes, k), (boxes[k, 3], boxes[k, 4], boxes[k, 5]))
-            if links[k, 1] < 0 and area > largest:
+            if links[k, COUNT] == INNER and area > largest:
                 opened, largest = j, area
         if opened >= 0:
             k = inside[opened]
-            inside[opened], inside[number] = links[k, 0], links[k, 0] + 1
+            inside[opened], inside[number] = links[k, FIRST], links[k, FIRST] + 1
             number += 1
     return number
