@@ -45,8 +45,8 @@ def scenes(shapes: Collection[str] = shape_types(), families: Collection[str] = 
     """Hard scenes: surfaces that coincide, slivers, shapes far from the origin, mirrored and stretched ones, ...
 
     shapes: types of shapes to draw, all by default; TRIANGLES: those that are made of triangles. families: names, as
-    `mitsuba-ref fuzz --family` takes them. A failing example shrinks to few shapes. Raises KeyError for an unknown
-    family.
+    `mitsuba-ref fuzz --family` takes them. A failing example shrinks to few shapes. The first example
+    raises KeyError for an unknown family.
     """
     return rays(shapes, families, most=1).map(lambda drawn: drawn.scene)
 
@@ -72,8 +72,9 @@ def _drawn(draw: Callable[..., Any], types: tuple[str, ...], names: tuple[str, .
     name = draw(st.sampled_from(_families_with(types, names)))
     made = Example(0, draw(SEEDS), BY_NAME[name], types).made
     shapes, seeds = made.data["shape"], draw(st.lists(SEEDS, min_size=1, max_size=most))
-    some, chosen = draw(st.integers(0, 3)) == 0, [draw(st.booleans()) for _ in shapes]  # whether `some` or not, so that
-    if some:  # an example can shrink to this, and to few shapes, without further choices
+    # `chosen` is drawn in either case, so that an example can shrink to few shapes without further choices
+    drops_shapes, chosen = draw(st.integers(0, 3)) == 0, [draw(st.booleans()) for _ in shapes]
+    if drops_shapes:
         shapes = [each for each, kept in zip(shapes, chosen, strict=True) if kept] or shapes[-1:]
     try:
         scene, whole = scene_of({**made.data, "shape": shapes}), packed(made.scene())

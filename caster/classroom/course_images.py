@@ -92,10 +92,11 @@ def _colors(course: CourseScene, view: RayHits) -> Array:
         if isinstance(light, Point):
             constant, linear, quadratic = course.falloffs[k]
             r = row_lengths(np.array(light.position) - view.position)
-            divisor = constant + linear * r + quadratic * r * r  # 0 at the light itself at most, which gets no light
-            ours = (constant + linear + quadratic) * r * r  # what the light of the scene is divided by
-            diffuse *= np.divide(ours, divisor, out=np.zeros(len(r)), where=divisor > 0.0)[:, None]
+            divisor = constant + linear * r + quadratic * r * r  # 0 only at the light itself, which stays dark
+            of_scene = (constant + linear + quadratic) * r * r  # its light falls off by 1 / r^2, equal at r = 1
+            diffuse *= np.divide(of_scene, divisor, out=np.zeros(len(r)), where=divisor > 0.0)[:, None]
         total += diffuse
+    # the course has one setting for the back sides of all materials
     if not any(material.two_sided for material in view.scene.materials.values()):
         total[np.sum(view.normal * view.rays.d, axis=1) > 0.0] = 0.0
     return np.where(view.hit[:, None], total, course.background)

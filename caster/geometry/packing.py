@@ -168,8 +168,8 @@ def primitive_count(part: Any) -> int:
 
 
 def concatenate_parts(parts: Sequence[Any]) -> Any:
-    """Concatenate arrays of one kind; indices of faces are shifted to their vertices."""
-    if len(parts) == 1:  # the arrays themselves, unless their layout would need other specialisations
+    """Concatenate parts of one kind; vertex numbers in `faces` are shifted, since vertices are concatenated, too."""
+    if len(parts) == 1:  # copied only where Numba would compile kernels again for another layout
         return type(parts[0])(*(np.require(array, None, ("C", "A", "W")) for array in parts[0]))
     if isinstance(parts[0], Triangles):
         ends = np.cumsum([len(part.vertices) for part in parts])

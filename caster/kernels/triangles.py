@@ -236,7 +236,7 @@ def _exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: 
 
 
 # Where fewer than half of its bits are known, a normal is computed with twice as many.
-MIN_SIN_SQUARED = 2.0**-52  # its square over that of the permanent
+MIN_SIN_SQUARED = 2.0**-52  # |n|^2 over |permanent|^2, about the squared sine between the edges
 
 
 @inlined
@@ -263,19 +263,19 @@ def interpolated(weights: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 
 @jit
 def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
-    """The same, of edges scaled to about 1, and then, if need be, with twice the bits.
+    """The unit normal where `fast_triangle_normal` does not know it: from edges scaled to about 1, or twice the bits.
 
-    Where even those see a line, one of the normals across it; 0 of a point.
+    Collinear corners have a unit vector perpendicular to their line, coincident ones 0.
     """
     e1, e2 = scaled_near_one(sub(b, a)), scaled_near_one(sub(c, a))
     n, spread = cross(e1, e2), permanent(e1, e2)
     if dot(n, n) > MIN_SIN_SQUARED * dot(spread, spread):
         return normalize(n)
-    n = cross_of_edges(a, b, c)
+    n = cross_of_edges(a, b, c)  # with twice the bits
     if l1_norm(n) > 0.0:
         return normalize(n)
     along = scaled_near_one(sub(b, a) if l1_norm(sub(b, a)) >= l1_norm(sub(c, a)) else sub(c, a))
-    x, y, z = abs(along[0]), abs(along[1]), abs(along[2])
+    x, y, z = abs(along[0]), abs(along[1]), abs(along[2])  # the cross product with the axis of the least of them
     if x <= y and x <= z:
         return normalize((0.0, along[2], -along[1]))
     return normalize((-along[2], 0.0, along[0]) if y <= z else (along[1], -along[0], 0.0))

@@ -1,4 +1,4 @@
-"""Rays in tiles, cast at all kinds of primitives: as packets, or as fans to one light or from one point."""
+"""Casts tiles of rays (kernels/raster/tile.py) at primitives of all kinds: in packets, or in fans through one point."""
 
 import itertools
 import threading
@@ -35,20 +35,21 @@ from caster.kernels.surface.per_hit import SURFACE_SIZE
 from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, uses_bvh
 from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, thread_count, unwritten_array
 
-# To wake a second thread takes as long as so many rays, about.
+# Waking a second thread takes about as long as casting so many rays.
 MIN_RAYS_PER_THREAD = 256
 
 Place = tuple[Kind, int]  # a kind, and the place of its first primitive
 
-ALL_PACKETS = np.empty(0, np.int64)  # none is left out; of the type of RayGroups.taken
+ALL_PACKETS = np.empty(0, np.int64)  # no ray has been cast yet; has the type of RayGroups.taken
 
 
 def new_workspace() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The stack of a traversal, where its boxes are entered, and where the boxes of a node are."""
+    """(the stack of a traversal, t where each box on it is entered, t where each box of a node is entered)."""
     return np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN)
 
 
-# To project a primitive towards a light takes a quarter of the time of a shadow ray. Few are projected for any film.
+# Projecting a primitive towards a light takes a quarter of the time of a shadow ray. Few primitives are always
+# projected, whatever the number of rays.
 MIN_SHADOW_RAYS_PER_PRIMITIVE = 0.25
 FEW_PRIMITIVES = 1 << 14
 
@@ -56,8 +57,8 @@ FEW_PRIMITIVES = 1 << 14
 class TileCaster:
     """Casts the rays of tiles at all kinds of primitives.
 
-    any_hit: until each has hit anything. uses_tree: the kinds whose trees are traversed. light: where all any-hit rays
-    end, or all others start; then kinds with a tree and few enough primitives for so many `rays` are cast at as fans.
+    any_hit: each ray stops at any hit. uses_tree: the kinds whose trees are traversed. light: where all any-hit rays
+    end, or all others start; then kinds that have a tree, and few primitives for so many `rays`, are hit by fans.
     """
 
     def __init__(

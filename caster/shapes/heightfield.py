@@ -50,16 +50,17 @@ class Heightfield(MeshShape):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
     def _drawn_waves(self) -> list[Wave]:
-        """Random waves of about equal steepness: heights are proportional to wavelengths and add up to `amplitude`."""
+        """Random waves of equal steepness: heights are proportional to wavelengths and add up to `amplitude`."""
         draw = Random(self.seed).random  # unlike NumPy's generators, guaranteed never to change
-        across = [power(MAX_PERIODS_ACROSS, draw()) for _ in range(self.waves)]
-        scale = self.amplitude / sum(1.0 / n for n in across)
-        place = (np.arange(self.resolution + 1) / self.resolution - 0.5) * self.size
+        periods = [power(MAX_PERIODS_ACROSS, draw()) for _ in range(self.waves)]  # log-uniform
+        scale = self.amplitude / sum(1.0 / n for n in periods)
+        grid = (np.arange(self.resolution + 1) / self.resolution - 0.5) * self.size
         waves: list[Wave] = []
-        for n in across:
-            k, (y, x) = 2.0 * math.pi * n / self.size, sine_and_cosine(2.0 * math.pi * draw())
+        for n in periods:
+            k = 2.0 * math.pi * n / self.size
+            y, x = sine_and_cosine(2.0 * math.pi * draw())
             phase = 2.0 * math.pi * draw()
-            columns, rows = _sines_and_cosines(k * x * place), _sines_and_cosines(k * y * place + phase)
+            columns, rows = _sines_and_cosines(k * x * grid), _sines_and_cosines(k * y * grid + phase)
             waves.append((k * x, k * y, scale / n, columns, rows))
         return waves
 
@@ -80,8 +81,8 @@ class Heightfield(MeshShape):
             some = slice(first, min(first + rows, side))
             band = slice(some.start * side, some.stop * side)
             z, slope_x, slope_y = np.zeros((3, some.stop - some.start, side))
-            for kx, ky, height, (sine_x, cosine_x), of_rows in drawn:  # by the sine and cosine of a sum
-                sine_y, cosine_y = (each[some, None] for each in of_rows)
+            for kx, ky, height, (sine_x, cosine_x), row_waves in drawn:  # by the sine and cosine of a sum
+                sine_y, cosine_y = (each[some, None] for each in row_waves)
                 z += height * (sine_x * cosine_y + cosine_x * sine_y)
                 slope = height * (cosine_x * cosine_y - sine_x * sine_y)
                 slope_x += kx * slope

@@ -75,7 +75,7 @@ def expected_points(shape: Any, what: str, packed: Array, points: Array) -> Expe
 
 
 def up_to_rounding(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
-    """Numbers that may differ by one rounding each."""
+    """Numbers whose rounding is relative to their own magnitude."""
     return ExpectedNumbers(what, np.asarray(packed), np.asarray(expected), np.abs(expected))
 
 

@@ -64,6 +64,8 @@ NEARLY_ALL = 0.9  # a hypothesis that explains this fraction of the wrong pixels
 # Rounding in float32 makes errors of 0.02 to 0.2 of its bound, and rounding in float64 of 2^-29 of these. A caster
 # computes in float32 if the median is above this.
 LEAST_FLOAT32_ERROR = 2.0**-10
+# A fit that leaves a larger median than this share of the bound leaves more than rounding, which makes up to 0.2.
+MORE_THAN_ROUNDING = 0.25
 MIN_FITTED_PIXELS = 3  # to fit a constant: one pixel always fits, and two may be alike
 
 # A separator is a threshold with this fraction of the wrong pixels on one side, and of the right ones on the other.

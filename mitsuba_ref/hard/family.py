@@ -1,4 +1,4 @@
-"""Families of hard scenes: a name, at most one parameter, and a function that makes a scene with rays for it."""
+"""Families of hard scenes: a name, at most one swept quantity, and a function that makes a scene and aims rays."""
 
 import json
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.shapes.targets import Rng
 
 Fields = dict[str, Any]  # of a scene, a shape, a camera or a film, as a scene file gives them
-AimRays = Callable[[Rng, Packed, int], Rays]  # that many rays, or fewer where a family has no more
+AimRays = Callable[[Rng, Packed, int], Rays]  # of the packed scene; so many rays, or fewer if a family has no more
 
 
 class HardScene(NamedTuple):
@@ -27,13 +27,13 @@ class HardScene(NamedTuple):
 
 
 def plain(data: Fields) -> Fields:
-    """The same data, arrays of NumPy as lists, as a scene file has them; a copy."""
+    """A copy with lists in place of NumPy arrays, as in a scene file."""
     copied: Fields = json.loads(json.dumps(data, default=lambda array: array.tolist()))
     return copied
 
 
 def scene_of(data: Fields) -> Scene:
-    """The described scene. Raises SceneError or pydantic's ValidationError."""
+    """The scene that the data describe. Raises SceneError or pydantic's ValidationError."""
     scene: Scene = Scene.model_validate(plain(data))
     return scene
 
@@ -42,8 +42,8 @@ def scene_of(data: Fields) -> Scene:
 class Family:
     """Scenes of one numerical difficulty.
 
-    `stress` sweeps the families that have values: one quantity becomes extreme. `fuzz` draws from all families, and
-    one of the values.
+    `stress` sweeps the families that have values: one quantity becomes extreme. `fuzz` draws a family, and one of
+    its values.
     """
 
     name: str
@@ -51,11 +51,11 @@ class Family:
     make: Callable[[Rng, float], HardScene] = field(repr=False)  # of the swept quantity, 0.0 where there is none
     quantity: str = ""  # the swept one, with its unit
     values: tuple[float, ...] = ()  # of it, in ascending order
-    easiest: float = 1.0  # the value from which on settings get harder, to one side or to both
-    unit: float | None = None  # of errors of t, in scene units; None: relative to the distance
+    easiest: float = 1.0  # scenes get harder away from this value
+    unit: float | None = None  # errors of t are divided by this radius; None: by the distance
     closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
     fits_float32: bool = True  # so that Mitsuba can trace it
-    always_judged: bool = False  # by Mitsuba in `fuzz`, unless none is
+    always_judged: bool = False  # `fuzz` compares each of its scenes with Mitsuba, unless it compares none
 
     @property
     def error(self) -> str:

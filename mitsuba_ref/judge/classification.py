@@ -1,9 +1,9 @@
-"""The class of every pixel of a subject: comparison within bounds, exact arithmetic where it may matter, brackets.
+"""Classifies every pixel: by comparison within bounds, by exact arithmetic, and by the answers that rounding allows.
 
 One judge for every subject (docs/method.md, "Classes"). A pixel where everything agrees within its bound is `agree`.
-Elsewhere, at edges, and at a sample of the rest, exact arithmetic decides first whether the subject is right, and then
-whether float32 rounding allows what Mitsuba answers. A subject whose own visibility is rounded is excused where its
-rounding allows its answer; our caster claims exact visibility, and is not.
+At other pixels, at edges, and at a sample of the agreeing ones, exact arithmetic decides first whether the subject is
+right, and then whether float32 rounding allows Mitsuba's answer. A subject whose own visibility is rounded is excused
+where its rounding allows its answer; our caster claims exact visibility, and is never excused.
 """
 
 from collections.abc import Mapping
@@ -34,18 +34,17 @@ from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.subjects.requests import SubjectResponse
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
-CODE = SimpleNamespace(**CLASS_CODE)  # CODE.wrong is that of the class `wrong`
+CODE = SimpleNamespace(**CLASS_CODE)  # CODE.wrong is the code of the class `wrong`
 EXACT = "exact"  # the subject against exact arithmetic, beside the checks of judge/comparison.py
 
-# Agreeing pixels away from edges that are compared with exact arithmetic as well: a tenth of a second a scene.
+# Agreeing pixels away from edges that are compared with exact arithmetic as well: they cost 0.1 s per scene.
 AGREEING_PIXELS_ADJUDICATED = 1024
 
-# Agreeing pixels of a scene whose diffuse values are compared with float64's bracket as well: a tenth of a second.
+# Agreeing pixels of a scene whose diffuse values are compared with float64's bracket as well: they cost 0.1 s.
 AGREEING_PIXELS_SHADED = 4096
 
 # Size of the sample that is adjudicated first among pixels that disagree in the same way. If nearly all of it is wrong,
-# the other pixels are not adjudicated: they stay undecided, which fails as well. If 1 % of these pixels were right, a
-# sample of 512 would contain none with probability 0.6 %; no pixel passes by it.
+# the other pixels are not adjudicated: they stay undecided, which fails as well, so that no pixel passes by this rule.
 WRONG_PIXELS_ADJUDICATED = 512
 MAX_KINDS_OF_SHAPES = 64  # pixels of each shape are sampled separately in scenes of at most so many shapes
 

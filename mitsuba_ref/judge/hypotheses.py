@@ -29,6 +29,7 @@ from mitsuba_ref.error_model.tolerances import (
     MAJORITY,
     MATCH_RTOL,
     MIN_FITTED_PIXELS,
+    MORE_THAN_ROUNDING,
     NEARLY_ALL,
 )
 from mitsuba_ref.judge.adjudication import id_columns, sample_rows
@@ -286,9 +287,6 @@ def _quantity(what: str, remedy: str, values: Predicts, claim: int = NOTHING, *,
     return Mistake(what, remedy, predicts, claim, single)
 
 
-SEPARATED = 0.25  # of the bound: rounding alone makes errors of up to 0.2
-
-
 def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     """t plus or times a constant, or on moved surfaces, fitted to all pixels; and 1 / t.
 
@@ -324,7 +322,7 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     bound = g.at.t_error + g.t_rounding + g.judge.answer.ku * np.abs(g.t)
     left = [np.median(np.abs(g.given_t - fit(g)) / bound) for _, _, fit in fitted]
     best, second = np.argsort(left)[:2]
-    if left[second] > SEPARATED and left[best] <= MAJORITY * left[second]:
+    if left[second] > MORE_THAN_ROUNDING and left[best] <= MAJORITY * left[second]:
         what, remedy, fit = fitted[best]
         yield _quantity(what, remedy, fit, SURFACES)
     yield _quantity("1 / t in place of t", "return t itself", lambda h: np.reciprocal(h.t))
@@ -335,24 +333,24 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
 
 def _image_orders(shape: tuple[int, int]) -> Iterator[Mistake]:
     """The whole image in another order: Mitsuba's answers at other pixels."""
-    rows = np.arange(shape[0] * shape[1]).reshape(shape)
-    yield _ordered("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
-    yield _ordered("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
-    yield _ordered("the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1])
-    for there in (rows.ravel(order="F"), np.argsort(rows.ravel(order="F"))):  # the same if the image is square
-        yield _ordered("the image is transposed, x for y", "rows come first: index y * width + x", there)
+    pixels = np.arange(shape[0] * shape[1]).reshape(shape)
+    yield _reordered("the image is mirrored, left for right", "turn the sign of x", pixels[:, ::-1])
+    yield _reordered("the image is upside down", "row 0 is the top one: turn the sign of y", pixels[::-1])
+    yield _reordered("the image is turned by half a turn", "turn the signs of x and y", pixels[::-1, ::-1])
+    for source in (pixels.ravel(order="F"), np.argsort(pixels.ravel(order="F"))):  # the same if the image is square
+        yield _reordered("the image is transposed, x for y", "rows come first: index y * width + x", source)
     for y, x in list(product((0, 1, -1), repeat=2))[1:]:
         what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
-        yield _ordered(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
+        yield _reordered(what, "look for an index that counts from 1", np.roll(pixels, (y, x), (0, 1)))
 
 
-def _ordered(what: str, remedy: str, there: Array) -> Mistake:
-    """there: for each row, the row whose answer the subject gives."""
+def _reordered(what: str, remedy: str, source: Array) -> Mistake:
+    """source: for each pixel, the pixel whose answer the subject gives."""
 
     def predicts(g: WrongPixels) -> Array:
-        result, places = g.judge.result, there.ravel()[g.rows]
+        result, sources = g.judge.result, source.ravel()[g.rows]
         t, t_error = result.t.astype(np.float64), g.judge.at.t_error
-        return g.right_under(result.hit[places], t[places], t_error[places])
+        return g.right_under(result.hit[sources], t[sources], t_error[sources])
 
     return Mistake(what, remedy, predicts, IMAGE, elsewhere=True)
 

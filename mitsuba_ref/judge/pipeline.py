@@ -20,7 +20,7 @@ from mitsuba_ref.judge.aggregate import (
     quantities_not_given,
 )
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Scope, checks_of, make_checks
-from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
+from mitsuba_ref.judge.checks import OURS as OF_OURS
 from mitsuba_ref.judge.checks.bias import kind_biases
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import further_rays
@@ -71,8 +71,8 @@ class Seen(NamedTuple):
 
 # ---- a film, in one window or several ----
 
-# A larger film is judged in bands, so that memory is that of one band. A band has so many pixels that they cost more
-# than what is done once for each band (its own scene in Mitsuba, samples of every check).
+# A larger film is judged in bands, so that memory is that of one band. The pixels of a band cost
+# more than the work that is done once for each band (its own scene in Mitsuba, samples of every check).
 LARGEST_WHOLE_FILM, BAND_PIXELS = 1 << 20, 1 << 19
 
 LARGE_SCENE = 1 << 20  # primitives; packing such a scene again costs less than keeping it beside its float32 numbers
@@ -116,7 +116,7 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
     whole_scene: make also the checks that do not depend on the window; whole_film: no other window follows.
     """
     scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
-    whose = OUR_CHECKS if task.ours else CANDIDATE
+    whose = OF_OURS if task.ours else CANDIDATE
     original = original_of(task.scene)
     camera = task.rays is None and (original is None or original.exact_camera)
     checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera, secondary=task.bounce is not None)

@@ -83,17 +83,21 @@ def sign_with_root(a: int, b: int, r: int) -> int:
 
 
 def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
-    """Sign of a + b sqrt(r) + c sqrt(s), by squaring twice: (b sqrt r + c sqrt s)^2 contains a single root."""
-    roots = sign(b * abs(b) * r + c * abs(c) * s)  # of b sqrt(r) + c sqrt(s), from signed squares
-    first = sign(a)
-    if first * roots >= 0:
-        return first or roots
-    return first * sign_with_root(a * a - b * b * r - c * c * s, -2 * b * c, r * s)
+    """Sign of a + b sqrt(r) + c sqrt(s); r, s >= 0.
+
+    Where a and the roots have opposite signs, the larger square decides: that of the roots contains only sqrt(r s).
+    """
+    sign_of_roots = sign(b * abs(b) * r + c * abs(c) * s)  # from signed squares
+    sign_of_a = sign(a)
+    if sign_of_a * sign_of_roots >= 0:
+        return sign_of_a or sign_of_roots
+    # a^2 - (b sqrt(r) + c sqrt(s))^2
+    return sign_of_a * sign_with_root(a * a - b * b * r - c * c * s, -2 * b * c, r * s)
 
 
 @total_ordering
 class Root:
-    """The real number (p + q sqrt(r)) / s 2^e. Compares exactly with Root, int, float and Fraction."""
+    """The real number 2^e (p + q sqrt(r)) / s. Compares exactly with Root, int, float and Fraction."""
 
     __slots__ = ("e", "p", "q", "r", "s")
 

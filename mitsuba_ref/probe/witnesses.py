@@ -135,12 +135,13 @@ def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
         yield f"  {MISSING}: {variants.usable_variants().why}"
 
 
-def _error_text(each: WitnessAnswer) -> str:
-    """The errors of an answer as text, with those beyond their bounds."""
+def _error_text(witness: WitnessAnswer) -> str:
+    """The error of t in ulps, errors beyond their bounds as multiples of these, and a remark if there is one."""
     parts = []
-    if each.ulps is not None:
-        parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
-    for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
+    if witness.ulps is not None:
+        parts.append(f"{witness.ulps:+.3g} ulps of {witness.format}" if witness.ulps else f"exact in {witness.format}")
+    of_t = witness.share if witness.right is False else None  # an answer may be right although t leaves its bound
+    for prefix, share in (("", of_t), ("normal ", witness.normal_share)):
         if share is not None and not share <= 1.0:
-            parts.append(f"{what}{share:.3g}x its bound")
-    return ", ".join((*parts, *filter(None, [each.remark])))
+            parts.append(f"{prefix}{share:.3g}x its bound")
+    return ", ".join((*parts, *filter(None, [witness.remark])))

@@ -1,4 +1,4 @@
-"""Calls of Mitsuba. The only module that imports it; loaded only in a child process, since Mitsuba may crash it.
+"""Calls of Mitsuba. Only this module and file_calls.py import it, in a child process, since Mitsuba may crash it.
 
 Requests come through mitsuba_process.py. The scalar variant is called ray by ray from Python: it is slow, and computes
 spheres and cylinders in float64. The LLVM variant takes all rays at once, in float32 throughout.

@@ -1,6 +1,6 @@
-"""Engines, which run the calls of a command: processes of this machine, or a Dask cluster (caster/system/cluster.py).
+"""Engines, which run a command's calls in processes or threads of this machine, or on a Dask cluster.
 
-Each call is one scene, example or sweep, from 0.1 s to some seconds of work, and takes and returns what has a pickle.
+Each call is one scene, example or sweep, from 0.1 s to some seconds of work, and takes and returns picklable values.
 Results are the same on every engine, since a call depends on its arguments alone.
 """
 
@@ -22,13 +22,13 @@ from mitsuba_ref.runner.verdict_files import SETTINGS, SOURCES, worker_identity
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS, Workers
 
 LOCAL = "local"
-INTERRUPTED_SECONDS = 1.5  # given to calls in progress to end after an interruption
-CALLS_AHEAD = 32  # of each worker, begun, waiting, or finished before an earlier one
+INTERRUPTED_SECONDS = 1.5  # after an interruption, for calls in progress to end
+CALLS_AHEAD = 32  # calls of a worker that may be submitted before the outcome of the first is taken
 
 
 @dataclass
 class Engine:
-    """What runs calls: a cluster, else forks of this process, else its own threads."""
+    """Runs calls on a cluster, in forks of this process, or in its threads."""
 
     workers: int  # calls at a time on this machine
     seconds: float  # time limit of a call
@@ -44,8 +44,8 @@ class Engine:
     ) -> Generator[Outcome, None, None]:
         """function(*args) for each of the calls, several at a time; outcomes in their order.
 
-        then: makes the result in this process from what the function returned, as soon as it has. No further call
-        starts after an interruption.
+        then: turns each returned value into a result, in this process and at once. No further call starts after an
+        interruption.
         """
         if self.cluster:
             with closing(self.cluster.map(function, calls, self.seconds)) as outcomes:
@@ -91,13 +91,13 @@ def _outcome_of(function: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
 
 @contextlib.contextmanager
 def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True) -> Iterator[Engine]:
-    """An engine by the words of --engine. Raises ClusterError.
+    """The engine that the value of --engine names. Raises ClusterError.
 
     workers: calls at a time on this machine; None: one a core. seconds: time limit of a call. forks: False for calls
-    that need this process, such as those of a Python function that is no module's.
+    that need this process, since no module defines the candidate's function.
     """
     count = workers or core_count()
-    if name != LOCAL:
+    if name != LOCAL:  # a worker that differs in one of these is refused
         with Cluster(name, count, worker_identity, SOURCES, SETTINGS, "python", *LIBRARIES) as cluster:
             yield Engine(count, seconds, cluster=cluster)
         return

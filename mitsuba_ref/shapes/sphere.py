@@ -108,12 +108,15 @@ def describe_spheres(part: Spheres, file: Path) -> Fields:
 
 
 def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Centres, and radii and rotations or matrices. The contents of a cloud's file are checked elsewhere."""
+    """The numbers expected of spheres (centres, radii, rotations) or ellipsoids (centres, matrices).
+
+    Those of a cloud's file are taken from our own reader.
+    """
     if isinstance(shape, Sphere):
         centers, radii = np.array([shape.center]), np.array([shape.radius])
     else:
-        centers, own = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
-        radii = np.full(len(centers), shape.radius or 1.0) if own is None else np.array(own)
+        centers, radii_given = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
+        radii = np.full(len(centers), shape.radius or 1.0) if radii_given is None else np.array(radii_given)
     linear = shape.matrix[:3, :3]
     yield expected_points(shape, "center", part.center, centers)
     if hasattr(part, "radius"):
@@ -125,8 +128,8 @@ def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 def similarity_numbers(linear: Array, radii: Array, part: Any) -> Iterator[ExpectedNumbers]:
     """Radii and rotations of spheres under a similarity.
 
-    Its scale is computed from volumes, which it scales by its cube; for a matrix that is a similarity only up to
-    rounding, that equals the scale of lengths to first order.
+    The scale is the cube root of the determinant. Of a matrix that is a similarity only up to rounding, this is the
+    factor of lengths to first order.
     """
     largest = np.abs(linear).max()
     scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))

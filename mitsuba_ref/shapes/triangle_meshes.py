@@ -58,6 +58,7 @@ from mitsuba_ref.shapes.targets import (
 
 
 def describe_triangle(part: Triangles, k: int) -> Fields:
+    """Fields of a triangle that packs to the numbers of triangle k."""
     corners = part.faces[k]
     shape: Fields = {"type": "triangle", "vertices": part.vertices[corners].tolist()}
     if part.smooth[k]:

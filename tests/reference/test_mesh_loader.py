@@ -111,10 +111,10 @@ def moved(rows, step):
 WRONG = {
     "a number off": ("ply, big", lambda m: m._replace(vertices=moved(m.vertices, 2.0**-22)), "corners"),
     "normals off": ("obj, smooth", lambda m: m._replace(normals=moved(m.normals, 2.0**-19)), "normals"),
-    "normals made up": ("ply", lambda m: m._replace(normals=np.tile([0.0, 0.6, 0.8], (7, 1))), "normals or none"),
+    "normals made up": ("ply", lambda m: m._replace(normals=np.tile([0.0, 0.6, 0.8], (7, 1))), "presence of normals"),
     "uv off": ("obj, smooth", lambda m: m._replace(uv=moved(m.uv, 2.0**-19)), "uv"),
-    "uv left out": ("obj, smooth", lambda m: m._replace(uv=None), "uv or none"),
-    "uv made up": ("obj", lambda m: m._replace(uv=np.zeros((7, 2))), "uv or none"),
+    "uv left out": ("obj, smooth", lambda m: m._replace(uv=None), "presence of uv"),
+    "uv made up": ("obj", lambda m: m._replace(uv=np.zeros((7, 2))), "presence of uv"),
 }
 
 

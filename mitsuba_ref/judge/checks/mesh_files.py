@@ -82,21 +82,22 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> Iterator[F
 
 @without_float_warnings
 def _errors(mesh: Any, theirs: LoadedMesh, file: Path) -> dict[str, float]:
-    """Errors over their bounds of positions, normals and uv at the corners of all faces."""
+    """Error over bound at all corners of faces, by a phrase that ` of FILE` completes; a remark has an error of 0."""
     if theirs.problem:
         return {f"not compared, Mitsuba's loader says {theirs.problem!r}: triangles": 0.0}
     errors = {"corners": _same_in_float32(mesh.vertices[mesh.faces], theirs.corners)}
     if errors["corners"] != 0.0:
         return errors
     errors["shared vertices"] = _one_to_one(mesh.faces, theirs.vertices)
-    unit = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
+    their_normals = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
+    # {True}: each corner has one, {False}: none has, both: some have
     in_file = dict(zip(("uv", "normals"), _in_file(file), strict=True))
     for name, ours, expected, roundings in (
-        ("uv", mesh.uv, theirs.uv, FILE_UV_ROUNDINGS * (1.0 + np.abs(theirs.uv))),
-        ("normals", mesh.normals, unit, np.full(1, FILE_NORMAL_ROUNDINGS)),
+        ("uv", mesh.uv, theirs.uv, FILE_UV_ROUNDINGS * (1.0 + np.abs(theirs.uv))),  # v may have been 1 - v
+        ("normals", mesh.normals, their_normals, np.full(1, FILE_NORMAL_ROUNDINGS)),
     ):
         if (ours is not None) != any(in_file[name]):
-            errors[f"{name} or none"] = np.inf
+            errors[f"presence of {name}"] = np.inf
         elif ours is not None and all(in_file[name]):
             ratio = error_over_bound(np.abs(ours[mesh.faces] - expected), roundings * U32)
             errors[name] = float(ratio.max(initial=0.0))
