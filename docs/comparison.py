@@ -18,7 +18,7 @@ from caster.image.exr import read_exr, write_exr
 from mitsuba_ref import render_reference
 from mitsuba_ref.exr_compare.comparison_page import flip
 from mitsuba_ref.exr_compare.two_files import compare_exr
-from mitsuba_ref.report.results import plural
+from mitsuba_ref.report.output import plural
 
 ROOT = Path(__file__).resolve().parents[1]
 AOVS = ("depth", "normal", "position", "diffuse")

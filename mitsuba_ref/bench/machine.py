@@ -8,7 +8,7 @@ from caster.rendering.threads import core_count
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.html_report import commit
-from mitsuba_ref.report.results import libllvm
+from mitsuba_ref.report.output import libllvm
 
 LOAD, CORES, REVISION = "load before", "processors used", "revision"
 

@@ -26,7 +26,7 @@ from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_sce
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, run_module
-from mitsuba_ref.report.results import largest
+from mitsuba_ref.report.output import largest
 from mitsuba_ref.subjects.subject import Answer, scene_as_traced
 
 LAST_WORDS = 300  # characters kept of a dead caster's output

@@ -8,7 +8,7 @@ from pydantic import SerializerFunctionWrapHandler, computed_field, model_serial
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.bench.drivers import AOVS, NEAREST
-from mitsuba_ref.report.results import NOTHING, aligned, number
+from mitsuba_ref.report.output import NOTHING, aligned, number
 
 JSON_FORMAT = 4  # goes up when a key changes its meaning or goes away
 REFERENCE_ROW, CANDIDATE_ROW = "ours", "candidate"  # ratios are to the first

@@ -14,7 +14,7 @@ from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.campaign.history import History
 from mitsuba_ref.campaign.units import REFERENCE, SCENE_PLACE, SUBJECT
 from mitsuba_ref.reference.store import key_of
-from mitsuba_ref.report.results import aligned, plural
+from mitsuba_ref.report.output import aligned, plural
 
 LISTED = 20  # of each list in text and on the page; the JSON has all
 FOLDER_SUFFIX, NAME_DIGITS = ".failures", 12  # of the folder of scenes, beside the history, and of their names

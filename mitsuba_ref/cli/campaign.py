@@ -22,7 +22,7 @@ from mitsuba_ref.cli.options import refuse, table_stream
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.html_report import commit
-from mitsuba_ref.report.results import plural, print_lines, write_result
+from mitsuba_ref.report.output import plural, print_lines, write_result
 from mitsuba_ref.runner.engine import outcomes_of
 from mitsuba_ref.runner.verdict_files import code_hash
 

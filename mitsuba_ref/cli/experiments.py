@@ -33,7 +33,7 @@ from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, chosen, interpreter
 from mitsuba_ref.reference.store import machine
-from mitsuba_ref.report.results import aligned, libllvm, print_lines, write_result
+from mitsuba_ref.report.output import aligned, libllvm, print_lines, write_result
 from mitsuba_ref.runner.engine import LOCAL, opened, outcomes_of
 from mitsuba_ref.runner.version_comparison import (
     LEGEND,

@@ -16,7 +16,7 @@ from mitsuba_ref.cli.arguments import NUMBERS
 from mitsuba_ref.cli.options import NothingSelected, reading_of, report_address
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
-from mitsuba_ref.report.results import plural, print_lines
+from mitsuba_ref.report.output import plural, print_lines
 
 
 def run_compare(args: argparse.Namespace) -> int:

@@ -22,7 +22,7 @@ from mitsuba_ref.judge.checks.secondary_rays import LeavingRays, judge_origins, 
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
-from mitsuba_ref.report.results import print_lines, write_result
+from mitsuba_ref.report.output import print_lines, write_result
 from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.stress.origins import write_parent
 from mitsuba_ref.subjects.ray_files import (

@@ -16,7 +16,7 @@ from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
-from mitsuba_ref.report.results import STANDARD_OUTPUT, print_lines
+from mitsuba_ref.report.output import STANDARD_OUTPUT, print_lines
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject

@@ -22,7 +22,7 @@ from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.original_files import ImportedScene, import_xml
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
-from mitsuba_ref.report.results import plural, print_lines
+from mitsuba_ref.report.output import plural, print_lines
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.subjects.subject import scene_as_traced
 

@@ -29,7 +29,7 @@ from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.ci_summaries import append, junit
-from mitsuba_ref.report.results import STANDARD_OUTPUT, print_lines, write_result
+from mitsuba_ref.report.output import STANDARD_OUTPUT, print_lines, write_result
 from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, matching
 from mitsuba_ref.runner.shards import merge_verdicts

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, computed_field
 from caster.system.process import DIFFERENCES, NOT_COMPARABLE, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.judge.verdict import JsonFloat
-from mitsuba_ref.report.results import aligned, percent
+from mitsuba_ref.report.output import aligned, percent
 
 LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
 LEGEND_OF_SLOPE = ", slope = its change per scene unit there"

@@ -8,7 +8,7 @@ import pydantic.dataclasses
 from pydantic import computed_field
 
 from mitsuba_ref.error_model.intersections import Rays
-from mitsuba_ref.report.results import aligned
+from mitsuba_ref.report.output import aligned
 
 # The kinds of findings, the most informative first.
 FINDING_KINDS = {

@@ -25,7 +25,7 @@ from mitsuba_ref.judge.verdict import (
     SceneVerdict,
     Verdict,
 )
-from mitsuba_ref.report.results import percent, plural
+from mitsuba_ref.report.output import percent, plural
 
 LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
 COLUMNS = ("hit", "agree", "worst", "s", "other pixels")

@@ -9,7 +9,7 @@ from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.store import BUILD, PROCESSOR, key_of, machine
-from mitsuba_ref.report.results import libllvm
+from mitsuba_ref.report.output import libllvm
 from mitsuba_ref.runner.many_scenes import SceneEntry, with_inputs_hash
 from mitsuba_ref.runner.verdict_files import code_hash
 

@@ -19,8 +19,8 @@ from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck, SceneVe
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import PROCESSOR
 from mitsuba_ref.report.html_report import HtmlReport, page_record
+from mitsuba_ref.report.output import json_text
 from mitsuba_ref.report.reproducers import with_replay
-from mitsuba_ref.report.results import json_text
 from mitsuba_ref.report.verdict_text import failing_checks, failing_scenes
 from mitsuba_ref.runner.engine import LOCAL, opened
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, problem_of, with_inputs_hash

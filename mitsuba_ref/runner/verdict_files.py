@@ -21,7 +21,7 @@ from mitsuba_ref.judge.verdict import VERDICT_FORMAT, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine
-from mitsuba_ref.report.results import json_text
+from mitsuba_ref.report.output import json_text
 
 MAX_INPUT_CHARACTERS = 60  # of a wrong value in a message
 PACKAGES = ("caster", "mitsuba_ref")

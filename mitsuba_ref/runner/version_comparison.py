@@ -13,7 +13,7 @@ from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import AGREE, RESULT, JsonFloat, SceneVerdict
 from mitsuba_ref.reference.interpreter import chosen
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.results import NOTHING, aligned, number, plural
+from mitsuba_ref.report.output import NOTHING, aligned, number, plural
 from mitsuba_ref.report.verdict_text import mark_of
 
 QUANTITIES = ("depth", "position", "normal", "shading_normal", "uv", "diffuse")

@@ -28,8 +28,8 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, OriginJudge
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.report.output import NOTHING
 from mitsuba_ref.report.reproducers import write_scene
-from mitsuba_ref.report.results import NOTHING
 from mitsuba_ref.subjects.subject import NoAnswer
 
 OURS, CANDIDATE = "ours", "candidate"

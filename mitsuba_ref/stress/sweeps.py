@@ -26,7 +26,7 @@ from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
-from mitsuba_ref.report.results import NOTHING, aligned, largest
+from mitsuba_ref.report.output import NOTHING, aligned, largest
 from mitsuba_ref.stress.origins import DEFAULT_RAYS, Absent, OriginSweep, Sweep
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64, Answer, CastRequest, NoAnswer, Subject, Unsupported
 

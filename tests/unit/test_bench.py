@@ -24,7 +24,7 @@ from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.judge.adjudication import ExactHits
 from mitsuba_ref.judge.verdict import as_json
 from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded, ResidentProcess
-from mitsuba_ref.report.results import write_result
+from mitsuba_ref.report.output import write_result
 
 
 def test_every_scene_can_be_sent_to_a_worker(tmp_path):

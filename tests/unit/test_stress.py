@@ -26,8 +26,8 @@ from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.judge.verdict import as_json
 from mitsuba_ref.reference.variants import Variants
-from mitsuba_ref.report import results
-from mitsuba_ref.report.results import write_result
+from mitsuba_ref.report import output
+from mitsuba_ref.report.output import write_result
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.stress.sweeps import Absent, Scorer, StressRun, SweepResult
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -44,7 +44,7 @@ def no_mitsuba(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     nothing = Variants(False, None, "planted: nothing works")
     monkeypatch.setattr(sweeps, "usable_variants", lambda: nothing)
-    monkeypatch.setattr(results, "usable_variants", lambda: nothing)
+    monkeypatch.setattr(output, "usable_variants", lambda: nothing)
 
 
 def short(name: str, *places: int):

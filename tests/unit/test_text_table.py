@@ -11,7 +11,7 @@ from verdict_factory import scene as made
 
 from caster.system.terminal import folded
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
-from mitsuba_ref.report.results import aligned, print_lines
+from mitsuba_ref.report.output import aligned, print_lines
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import LEGEND, failure_text, table_head, table_row
 from mitsuba_ref.subjects.function import FunctionSubject

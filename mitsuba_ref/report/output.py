@@ -1,4 +1,4 @@
-"""Results as JSON files, and as text and tables for terminals and logs, in colour only on a terminal.
+"""Output of the commands: results as JSON files, and as text and tables, in colour only on a terminal.
 
 Results are pydantic dataclasses. Files also contain their derived values (`computed_field`), which are ignored when a
 file is read.
