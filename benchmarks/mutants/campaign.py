@@ -41,7 +41,7 @@ SMALL_RAYS = "benchmarks/mutants/small_rays.py"
 # Quick without the compiler; most of tests/agreement is not, SMALL_AGREEMENT and SMALL_RAYS stand for it.
 PLAIN = {
     "tests/agreement": """
-        lanes wide_angle_cameras
+        any_rays lanes mirrors wide_angle_cameras
     """,
     "tests/exact": """
         box_tree edge_cases oracle_kinds oracle_roots oracle_scenes
@@ -53,19 +53,19 @@ PLAIN = {
         pages records
     """,
     "tests/unit": """
-        added_aov bias bracket builtin_scenes camera_references candidate_aimed
+        added_aov bias bounces bracket builtin_scenes camera_references candidate_aimed
         error_bounds_of_kernels error_models exact_kernels fuzz generated_meshes
         geometry_checked_in_both_precisions independent_transform judge_at_extremes knife_edges known_defects
         lambert_and_shadow_rays mesh_files mesh_normals plan primitive_properties quadric_normals ray_bounds
         ray_camera registries rejected_faces scene_docs scene_errors scene_files scene_lights
         scene_locate scene_model scene_numbers screen_bounds sliver_normals sphere_clouds stated_numbers tiles
-        transform
+        transform uv_range
     """,
 }
 # Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
 WITH_COMPILER = {
     "tests/unit": """
-        bias bracket camera_references candidate_aimed candidate_scene check_list defect_measurement
+        bias bounces bracket camera_references candidate_aimed candidate_scene check_list defect_measurement
         description_round_trip error_models exact_kernels exr_compare exr_files fuzz
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
@@ -73,11 +73,12 @@ WITH_COMPILER = {
         stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
-        box_tree edge_cases oracle_kinds oracle_roots oracle_scenes
+        box_tree edge_cases oracle_kinds oracle_roots oracle_scenes spawned_origins
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold
-        excused_classes judge_classes mesh_loader mistakes mitsuba_files new_shape probe_witnesses ray_lists
+        excused_classes function_interface judge_classes mesh_loader mistakes mitsuba_files new_shape probe_witnesses
+        ray_lists spawn_rules textures
     """,
     "tests/report": """
         pages records

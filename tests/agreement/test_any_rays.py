@@ -10,6 +10,7 @@ from triangle_soup import triangle_soup
 from caster.cameras import Pinhole
 from caster.description.errors import SceneError
 from caster.geometry.packing import Kind, Packed
+from caster.kernels.protocol import surface
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import cast, occluded, packed, validated_rays
 from caster.rendering.threads import CHUNKS_PER_THREAD, thread_count
@@ -31,6 +32,27 @@ def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, wha
     assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)
     assert np.isfinite(hits.t).sum() == (hits.prim_id >= 0).sum(), f"{what}: a hit without a finite t"
     return int((hits.prim_id >= 0).sum())
+
+
+CAREFUL = ("sphere", "ellipsoids", "linear_curve", "cylinder", "torus", "cube")  # shapes that may need `surface`
+
+
+@pytest.mark.parametrize("shape", [shape for shape in SHAPES if name(shape) in CAREFUL], ids=name)
+def test_the_surface_of_a_single_hit_has_the_bits_of_vector_code(shape):
+    """`surface` stands in where `fast_surface` is not safe: elsewhere both have the same bits."""
+    rng, same = np.random.default_rng([62, SHAPES.index(shape)]), 0
+    for _ in range(4):
+        scene = random_scene(rng, [shape], Pinhole, count=2)
+        for o, d in hard_rays(packed(scene), rng, 8).values():
+            hits = cast(scene, o, d / np.linalg.norm(d, axis=1, keepdims=True))
+            expected = (hits.position, hits.normal, hits.shading_normal, hits.uv)
+            for row in np.flatnonzero(hits.hit):
+                kind, k = packed(scene).place_of(int(hits.nearest.prim[row]))
+                ray = [tuple(each[row].tolist()) for each in (hits.rays.o, hits.rays.d)]
+                p, n, sh_n, *uv = surface(kind.prims, k, *ray, float(hits.nearest.t[row]), True)
+                assert [tuple(each[row].tolist()) for each in expected] == [p, n, sh_n, tuple(uv)], ray
+                same += 1
+    assert same >= 100
 
 
 def test_limits_may_be_given_for_each_ray():

@@ -10,7 +10,7 @@ from caster.geometry.packing import pack
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import UNDECIDED
 from caster.kernels.protocol import exact_intersect, intersect, load, prepare, surely_misses
-from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
+from caster.shapes import Cylinder, Disk, LinearCurve, Plane, Sphere, Triangle
 from caster.shapes.cylinder import clip_to_height
 
 SLACK = 1e-9  # of what is computed here in float64, far below the errors that are planted
@@ -165,6 +165,28 @@ RIMS = {
 
 def hits_exactly(prims, o, d):
     return exact_intersect(prims, 0, o, d, -1e9, 1e9).hit
+
+
+@pytest.mark.parametrize("grow", [3, -3])
+def test_a_ray_along_a_line_of_a_cone_enters_it_at_the_one_root_that_is_left(grow):
+    """|P|^2 - dr^2 = 16, |d|^2 = 25 and (d.P)^2 = 400, so that A t^2 + 2 B t + C has A = 0: t = -C / (2 B)."""
+    start = 2 if grow > 0 else 5
+    prims = prims_of(LinearCurve(points=((0, 0, 0), (0, 0, 5)), radii=(start, start + grow)))
+    d, rng, tried, beside = (-3, 0, 4 if grow > 0 else -4), np.random.default_rng(174), 0, 0
+    for x, y, z in rng.integers([-9, -4, -9], [10, 5, 15], (1200, 3)).tolist():
+        lift = 5 * z + start * grow
+        b = 16 * (x * d[0] + z * d[2]) - 5 * d[2] * lift
+        c = 16 * (x * x + y * y + z * z - start * start) - lift * lift
+        t = -c / (2.0 * b) if b < 0 else -1.0
+        if t > 0.0 and 0.01 < lift + 5 * d[2] * t < 15.99:  # within the circles of the cone
+            tried += 1
+            o, near = (float(x), float(y), float(z)), 1e-12 * t
+            assert exact_intersect(prims, 0, o, d, t - near, t + near).hit
+            assert not exact_intersect(prims, 0, o, d, 0.0, t - near).hit
+        elif b == 0 and c > 0:  # in the plane that touches the cone along that line
+            beside += 1
+            assert not hits_exactly(prims, (float(x), float(y), float(z)), d)
+    assert tried >= 60 and beside >= 5
 
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])

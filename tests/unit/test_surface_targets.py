@@ -92,6 +92,8 @@ def test_points_lie_on_a_surface_on_its_outline_or_just_outside(kind, sort):
     assert off.max() < 1e-12
     assert (np.abs((points.along * points.n).sum(axis=1)) < 1e-11 * np.abs(points.along).max()).all()
     assert (np.linalg.norm(points.along, axis=1) > 0.0).all() and (np.linalg.norm(points.n, axis=1) > 0.0).all()
+    if kind is Spheres:
+        assert np.abs(np.cross(points.p - prims.center[k], points.n)).max() < 1e-9 * np.abs(points.n).max()
     if kind is Planes:
         assert sort != "corner" or np.array_equal(points.p, prims.point[k])
     elif sort == "beside":
