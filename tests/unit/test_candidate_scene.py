@@ -1,14 +1,18 @@
 """A candidate is handed the scene in the very numbers that Mitsuba and exact arithmetic get."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from places import scene_of
 
 import caster
-from caster.geometry.packing import pack
+from caster.geometry.packing import pack, packed
 from caster.geometry.world_space import as_float32, as_given
 from caster.scene.files import load_scene
+from mitsuba_ref.error_model.bracket import CLAIMED_MISS
+from mitsuba_ref.judge.adjudication import claims_of
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import checked_answer, scene_as_traced
@@ -109,3 +113,11 @@ def test_the_coarser_type_decides_the_bounds(kinds, precision):
 
 def test_lists_are_arrays_too():
     assert checked_answer([1.0, 2.0], None, np.ones(2, bool)).n is None
+
+
+def test_a_number_that_names_no_shape_claims_a_hit_of_another_one():
+    """The bracket excuses a rounded candidate only at the shape that it names."""
+    ids = {"shape_id": np.array([1, 0, -3, 5]), "prim_id": np.array([0, 0, 0, 0])}
+    answer = replace(checked_answer([1.0, 2.0, 3.0, np.inf], None, np.ones(4, bool)), **ids)
+    two = packed(scene_of(caster.Sphere(), caster.Sphere(center=(3, 0, 0))))
+    assert claims_of(answer, two).shape.tolist() == [1, 0, 2, CLAIMED_MISS]

@@ -109,6 +109,12 @@ def test_what_the_reference_does_hit_is_no_case_of_a_miss(number):
     assert defect_of(replace(example, theirs=example.ours)) is None
 
 
+@pytest.mark.parametrize("number", [22, 19, 26, 35, 34])
+def test_an_answer_far_from_the_exact_one_is_no_case_of_rounding(number):
+    assert defect_of(EXAMPLES[number]) == number
+    assert defect_of(replace(EXAMPLES[number], nearly=False)) is None
+
+
 def test_each_kind_measures_what_its_cases_depend_on():
     """By hand: a ray of length 5 along (0, 3, 4), primitives that stretch by (2, 1, 1/2) along the axes."""
     d, o = np.array([0.0, 3.0, 4.0]), np.ones(3)

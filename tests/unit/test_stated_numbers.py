@@ -51,6 +51,8 @@ SHAPES = {
     "plane": caster.Plane(point=(1, 2, 3), normal=(1, 2, 4)),
     "smooth triangle": caster.Triangle(**SMOOTH),
     "far triangle": caster.Triangle(vertices=CORNERS, to_world=[MOVED]),
+    "curve": caster.LinearCurve(points=((1, 2, 3), (4, 2.5, 1)), radii=(1.5, 0.5)),
+    "ellipsoid cloud": caster.EllipsoidCloud(centers=((1, 2, 3),), scales=((1, 2, 0.5),), quaternions=((1, 2, 3, 4),)),
 }
 # Shapes whose packed numbers are computed a second time, with the size of what is rounded on the way.
 PACKED_SHAPES = {
@@ -58,6 +60,13 @@ PACKED_SHAPES = {
     "ellipsoid": caster.Sphere(center=(1, 2, 3), radius=1.5, to_world=[STRETCH]),
     "cloud": caster.SphereCloud(centers=((1, 2, 3), (0.5, -1, 4)), radii=(0.5, 0.25), to_world=PLACE),
     "stretched cloud": caster.SphereCloud(centers=((1, 2, 3), (0.5, -1, 4)), radius=0.75, to_world=[STRETCH]),
+    "ellipsoid cloud": caster.EllipsoidCloud(
+        centers=((1, 2, 3), (0.5, -1, 4)),
+        scales=((1, 2, 0.5), (3, 1, 1)),
+        quaternions=((1, 2, 3, 4), (0, 0, 0, 1)),
+        to_world=[STRETCH],
+    ),
+    "curve": caster.LinearCurve(points=((1, 2, 3), (4, 2.5, 1), (5, 5, 5)), radii=(1.5, 0.5, 1.0), to_world=PLACE),
     "disk": caster.Disk(to_world=PLACE),
     "cylinder": caster.Cylinder(to_world=[STRETCH]),
     "long cylinder": caster.Cylinder(p0=(1, 2, 3), p1=(2, -1, 6), radius=0.5, to_world=PLACE),
@@ -113,6 +122,9 @@ def float_box(prims: Any) -> tuple[Any, Any]:
     if hasattr(prims, "faces"):
         corners = prims.vertices[prims.faces[0]]
         return corners.min(axis=0), corners.max(axis=0)
+    if hasattr(prims, "start"):
+        ends = np.stack([prims.start[0], prims.end[0]])
+        return ends.min(axis=0) - prims.radius[0].max(), ends.max(axis=0) + prims.radius[0].max()
     if not hasattr(prims, "to_world") and not hasattr(prims, "radius"):
         return np.full(3, -np.inf), np.full(3, np.inf)
     reach = np.abs(prims.to_world[0]).sum(axis=1) if hasattr(prims, "to_world") else prims.radius[0]
