@@ -28,6 +28,9 @@ COLLECTION_THRESHOLDS = (50_000, 20, 20)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code. argv: default the words of this process, which a fork may run."""
     if argv is None:  # this process runs nothing else
+        if sys.stdout is None:  # closed, so that another file would get its descriptor
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            sys.stdout = os.fdopen(1, "w", closefd=False)
         gc.set_threshold(*COLLECTION_THRESHOLDS)
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         if needs_supervision(sys.argv[1:]):

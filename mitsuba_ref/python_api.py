@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from operator import index
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,7 +20,7 @@ from mitsuba_ref.report import builtin_scenes
 from mitsuba_ref.report.validation import Validation
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, entries_of_hits, judge_loaded
 from mitsuba_ref.subjects.function import function_subject
-from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, RayList, checked_rays, read_arrays, read_rays
+from mitsuba_ref.subjects.ray_files import RayList, checked_rays, read_arrays, read_rays
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
 
@@ -79,7 +80,7 @@ def judge_hits(
     Raises SceneError, FileMissing.
     """
     found: RayList = checked_rays(rays, "rays") if isinstance(rays, np.ndarray) else read_rays(os.fspath(rays))
-    given = hits if isinstance(hits, Mapping) else read_arrays(os.fspath(hits), HIT_ARRAYS)
+    given = hits if isinstance(hits, Mapping) else read_arrays(os.fspath(hits))
     arrays = {array: np.asarray(values) for array, values in given.items()}
     entry = _entry("scene" if isinstance(scene, Scene) else Path(scene).stem, scene)
     entries = entries_of_hits(entry.name, entry.path, entry.load(), found, arrays, "hits", precision)
@@ -101,7 +102,9 @@ def probe_pixel(
     Raises SceneError, also for a pixel outside the film, and FileMissing.
     """
     variants.require_variants()
-    return probe_with_evidence(_entry("", scene, size).load(), x, y, _subject(candidate, precision), timeout)[0]
+    return probe_with_evidence(
+        _entry("", scene, size).load(), index(x), index(y), _subject(candidate, precision), timeout
+    )[0]
 
 
 def export_xml(scene: Scene | ScenePath, folder: ScenePath) -> Path:

@@ -19,6 +19,8 @@ from caster.scene.model import Scene
 
 __all__ = ["load_course_scene"]
 
+Data = dict[str, Any]  # of a scene or a part of one, as a scene file gives them
+
 # The words that each block may contain: other blocks, and fields with the count of their numbers; 0: a file name.
 GRAMMAR = {
     "": "PerspectiveCamera OrthographicCamera Background Lights Materials Group",
@@ -165,7 +167,7 @@ def _sections(text: str) -> dict[str, Block]:
 class Draft:
     """The scene description under construction."""
 
-    data: dict[str, Any] = field(default_factory=lambda: {"light": [], "material": {}, "shape": []})
+    data: Data = field(default_factory=lambda: {"light": [], "material": {}, "shape": []})
     places: dict[tuple[str | int, ...], Span] = field(default_factory=dict)  # of the elements of the data
     left_out: list[tuple[Span, str]] = field(default_factory=list)
     falloffs: dict[int, Falloff] = field(default_factory=dict)  # of the point lights
@@ -222,12 +224,12 @@ def _add_materials(draft: Draft, materials: list[Block], shade_back: bool) -> No
                 draft.left_out.append((item.at, f"the part beyond 1 of {item}: a reflectance is at most 1"))
 
 
-def _add_objects(draft: Draft, block: Block, outer: list[dict[str, Any]]) -> None:
+def _add_objects(draft: Draft, block: Block, outer: list[Data]) -> None:
     """Add the objects of a group or transform. MaterialIndex applies to all objects that follow in the file.
 
     Of a transform's steps, the last of the file is applied first, but a matrix after all that precede it.
     """
-    steps: list[dict[str, Any]] = []
+    steps: list[Data] = []
     if block.kind == "Transform":
         if len(block.blocks) != 1:
             raise CourseError(block.at, f"Transform needs one object, got {len(block.blocks)}")
@@ -249,7 +251,7 @@ def _add_objects(draft: Draft, block: Block, outer: list[dict[str, Any]]) -> Non
                 raise CourseError(item.at, f"{item}: the scene has {count} materials, counted from 0")
 
 
-def _step(name: str, numbers: list[float]) -> dict[str, Any]:
+def _step(name: str, numbers: list[float]) -> Data:
     if name.startswith("Matrix"):
         rows = np.reshape(numbers, (4, 4))
         return {"matrix": (rows if name == "Matrix" else rows.T).tolist()}  # 2011: by columns
@@ -259,7 +261,7 @@ def _step(name: str, numbers: list[float]) -> dict[str, Any]:
     return {"translate": numbers} if name == "Translate" else {"scale": numbers if len(numbers) == 3 else numbers[0]}
 
 
-def _shape(block: Block) -> dict[str, Any]:
+def _shape(block: Block) -> Data:
     """The fields that belong to this kind of shape."""
     if block.kind == "Sphere":
         return {"center": block.get("center"), "radius": block.get("radius")[0]}
@@ -272,7 +274,7 @@ def _shape(block: Block) -> dict[str, Any]:
     return {"type": "mesh", "file": block.fields["obj_file"].word, "face_normals": True}  # flat, as in 2003 and 2004
 
 
-def _camera(block: Block, width: int, height: int) -> dict[str, Any]:
+def _camera(block: Block, width: int, height: int) -> Data:
     """The camera. Its angle or size spans the longer side of the film: the course crops a square image."""
     view = {"eye": block.get("center"), "direction": block.get("direction"), "up": block.get("up")}
     if block.kind == "PerspectiveCamera":

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
+from caster.description.input_files import MESH_SUFFIXES, SCENE_SUFFIXES
 from caster.jit.kernel_cache import claim
 from caster.system.atomic_files import OutputError, check_folder, check_writable
 
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from caster.scene.model import Scene
 
 SCENE_FILE = "a scene file, .toml or .json; or a mesh file: OBJ, PLY, STL, OFF, glTF"
-SUFFIXES = (".toml", ".json")  # of scene files, when a folder is given
 
 # Copies of the registry and of caster.rendering's default, as loading AOVs loads the kernels
 # (tests/unit/test_cli_help.py compares them).
@@ -232,13 +232,17 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
     sources = (value for _, value in given if isinstance(value, InputPath))
     inputs = {_file_id(file) for source in sources for file in [source, *_scene_files_in(source)]}
+    words = " ".join(str(value) for _, value in given if not isinstance(value, (OutputFile, OutputFolder)))
+    # the files that a candidate is or names: a program, an image, module:function
+    named = {name for word in words.replace(":", " ").split() for name in (word, word.replace(".", "/") + ".py")}
+    inputs |= {_file_id(name) for name in named if os.path.isfile(name)}
     option_of: dict[str, str] = {}  # by the path of its output
     with contextlib.ExitStack() as stack:
         for name, path in given:
             if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
                 continue
             option = f"--{name.replace('_', '-')}"
-            if os.path.exists(path) and _file_id(path) in inputs:
+            if os.path.exists(path) and (_file_id(path) in inputs or path.lower().endswith(MESH_SUFFIXES)):
                 raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
             other = option_of.setdefault(os.path.realpath(path), option)
             if isinstance(path, OutputFile) and other != option:
@@ -288,4 +292,4 @@ def _scene_files_in(source: str) -> list[str]:
     """The scene files of a folder, sorted; none of anything else."""
     if not os.path.isdir(source):
         return []
-    return [str(file) for file in sorted(Path(source).iterdir()) if file.suffix.lower() in SUFFIXES]
+    return [str(file) for file in sorted(Path(source).iterdir()) if file.suffix.lower() in SCENE_SUFFIXES]

@@ -10,6 +10,8 @@ from caster.description.errors import FileMissing, SceneError
 
 __all__ = ["opened_input", "read_input", "read_text"]
 
+SCENE_SUFFIXES = (".toml", ".json")
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
 MAX_MESH_BYTES = 2**32  # 80 million triangles in binary PLY
 

@@ -68,7 +68,10 @@ class TileShader:
         if packed.kinds and needs & {"shape_id", "prim_id"}:
             self._ids = PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
         shaded = packed.kinds and needs & {"albedo", "radiance"}
-        self._materials = material_tables(scene) if shaded else None
+        materials = [scene.material_of(shape) for shape in scene.shapes]
+        reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
+        both_sides = np.array([material.two_sided for material in materials], bool)
+        self._materials = (reflectance, both_sides) if shaded else None
         self._textures = None
         if shaded and any(scene.textures):
             derived = packed.kinds[0].derived  # goes with the packed numbers
@@ -163,10 +166,3 @@ def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
         blocked = exact_nearest(packed, Rays(o, d, values(T_MIN)[rows], values(T_MAX)[rows]), 1).prim >= 0
         values(T)[rows] = np.where(blocked, 0.0, np.inf)
         values(UNCERTAIN)[rows] = 0.0
-
-
-def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """(reflectance (n, 3), whether both sides are lit (n,)) of each shape."""
-    materials = [scene.material_of(shape) for shape in scene.shapes]
-    reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
-    return reflectance, np.array([material.two_sided for material in materials], bool)

@@ -11,17 +11,14 @@ import numpy as np
 
 from caster.cameras.pinhole import Pinhole
 from caster.description.errors import SceneError
-from caster.description.input_files import read_text
+from caster.description.input_files import MESH_SUFFIXES, SCENE_SUFFIXES, read_text
 from caster.description.parsing import model_of_text
 from caster.description.transform import sine_and_cosine
-from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
+from caster.geometry.mesh_files import MeshFolders
 from caster.scene.model import Ambient, Diffuse, Directional, Scene
 from caster.shapes.mesh import Mesh
 
 __all__ = ["load_scene"]
-
-
-SCENE_SUFFIXES = (".toml", ".json")
 
 
 def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:

@@ -31,8 +31,8 @@ __all__ = [
     "OK",
     "PARENT_VARIABLE",
     "USAGE",
-    "at_forced_exit",
     "die_with_parent",
+    "forced_exit_actions",
     "interrupted",
     "report_error",
 ]
@@ -123,12 +123,8 @@ CLEANUP_SECONDS = 1.0  # after that, for ending child processes and removing tem
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
 
 interrupted = threading.Event()  # set from the first signal to the end of the command
-_forced_exit_actions: list[Callable[[], None]] = [remove_temporaries]
-
-
-def at_forced_exit(action: Callable[[], None]) -> None:
-    """Register an action to run, in another thread, when a process does not end in time."""
-    _forced_exit_actions.insert(0, action)
+# Run in this order, in another thread, when a process does not end in time.
+forced_exit_actions: list[Callable[[], None]] = [remove_temporaries]
 
 
 @contextlib.contextmanager
@@ -172,7 +168,7 @@ def end_process() -> NoReturn:
 
 
 def _clean_up() -> None:
-    for action in _forced_exit_actions:
+    for action in forced_exit_actions:
         with contextlib.suppress(Exception):
             action()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
@@ -88,7 +89,7 @@ def numbers(text: str) -> range:
 METAVARS.update({whole: "N", seconds: "TIME"})
 
 
-def add_selection(parser: argparse.ArgumentParser) -> None:
+def add_selection(parser: ArgumentParser) -> None:
     """Add scenes, -k, --size and --mesh-dir."""
     group = parser.add_argument_group("scenes")
     add = adder(group)
@@ -122,7 +123,7 @@ def add_opening(parser: argparse._ActionsContainer) -> None:
     add("--sensor", whole, "the sensor of a Mitsuba file, counted from 0; default 0")
 
 
-def add_timeout(parser: argparse.ArgumentParser) -> None:
+def add_timeout(parser: ArgumentParser) -> None:
     """Add --timeout."""
     adder(parser)(
         "--timeout",
@@ -152,7 +153,7 @@ class SetVariable(argparse.Action):
 REFERENCE_OPTIONS = ("mitsuba", "variant", "as_in_file")  # of add_reference
 
 
-def add_reference(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+def add_reference(parser: ArgumentParser, *, several: bool = False) -> None:
     """Add --mitsuba, --variant, --as-in-file. several: --mitsuba any number of times."""
     add = adder(parser.add_argument_group("the reference (mitsuba-ref docs versions)"))
     if several:
@@ -167,7 +168,7 @@ def add_reference(parser: argparse.ArgumentParser, *, several: bool = False) -> 
     add("--as-in-file", str, help_, action=SetVariable, variable=AS_IN_FILE_VARIABLE, nargs=0)
 
 
-def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
+def add_reading(parser: ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
     add = adder(parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more))
     map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
@@ -180,7 +181,7 @@ def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[...
     return add
 
 
-def add_report_files(parser: argparse.ArgumentParser) -> None:
+def add_report_files(parser: ArgumentParser) -> None:
     """Add --out, --html, and the options of add_verdict_files."""
     add = add_verdict_files(parser)
     add("--out", OutputFolder, "write verdict.json, EXR files and reproducers into this folder")
@@ -191,7 +192,7 @@ def add_html(add: Callable[..., argparse.Action]) -> None:
     add("--html", OutputFolder, "write a report for the browser into this folder: index.html")
 
 
-def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse.Action]:
+def add_verdict_files(parser: ArgumentParser) -> Callable[..., argparse.Action]:
     """Add --json, --junit and --summary-md; the function that adds more options to their group."""
     group = parser.add_argument_group("results")
     add = adder(group)
@@ -203,8 +204,7 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse
 
 
 def add_candidate(
-    parser: argparse.ArgumentParser,
-    title: str = "another ray caster, judged in place of ours (mitsuba-ref docs candidates)",
+    parser: ArgumentParser, title: str = "another ray caster, judged in place of ours (mitsuba-ref docs candidates)"
 ) -> Callable[..., argparse.Action]:
     """Add --candidate, its precision and its time limit; the function that adds what cannot be given beside it."""
     group = parser.add_argument_group(title)
@@ -246,7 +246,7 @@ def add_skip_unsupported(add: Callable[..., argparse.Action], plural: str) -> No
     )
 
 
-def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -> None:
+def add_item_selection(parser: ArgumentParser, what: str, words: str) -> None:
     """Add the items by name, and --list. what: "family" or "scene"."""
     plural = {"family": "families", "scene": "scenes"}[what]
     add = adder(parser)
@@ -261,7 +261,7 @@ def add_json(parser: argparse._ActionsContainer) -> None:
 # ---- commands ----
 
 
-def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
+def add_validate_arguments(parser: ArgumentParser) -> None:
     add_selection(parser)
     add_opening(parser)
     add = adder(parser)
@@ -312,21 +312,21 @@ def shard(text: str) -> tuple[int, int]:
     raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
 
 
-def add_versions_arguments(parser: argparse.ArgumentParser) -> None:
+def add_versions_arguments(parser: ArgumentParser) -> None:
     add_selection(parser)
     add_reference(parser, several=True)
     add_timeout(parser)
     add_json(parser)
 
 
-def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
+def add_merge_arguments(parser: ArgumentParser) -> None:
     adder(parser)(
         "verdicts", InputPath, "of each shard: --json's file, or --out's folder", metavar="VERDICT.json|DIR", nargs="+"
     )
     add_verdict_files(parser)
 
 
-def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
+def add_judge_arguments(parser: ArgumentParser) -> None:
     add = adder(parser)
     help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
     add("--scene", InputPath, help_, metavar="SCENE", required=True)
@@ -345,10 +345,15 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add_report_files(parser)
 
 
-def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
+def file_or_folder(text: str) -> str:
+    """The type of an output that is a file, or a folder of them."""
+    return OutputFolder(text) if os.path.isdir(text) else OutputFile(text)
+
+
+def add_rays_arguments(parser: ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = adder(parser)
-    add("-o --output", str, ".npz; with --bounces a folder", metavar="RAYS", required=True)
+    add("-o --output", file_or_folder, ".npz; with --bounces a folder", metavar="RAYS", required=True)
     help_ = "camera (default), or aimed: features (corners, edges, rims), silhouettes, surface (from surfaces), random"
     add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS)
     add("--count", positive_int, "of rays that are aimed; default 4096")
@@ -356,7 +361,7 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_bounces(add, "the camera's rays, and the secondary ones of each bounce to this depth, a file each")
 
 
-def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
+def add_compare_arguments(parser: ArgumentParser) -> None:
     add = adder(parser)
     add("ours", InputPath, "an image, or a folder of images", metavar="OURS.exr|DIR")
     add("reference", InputPath, "another one, or a folder of images of the same names", metavar="REF.exr|DIR")
@@ -374,7 +379,7 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("--scene", InputPath, "the scene whose camera rendered the images", metavar="SCENE")
 
 
-def add_render_arguments(parser: argparse.ArgumentParser) -> None:
+def add_render_arguments(parser: ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add_opening(parser)
     add = adder(parser)
@@ -384,7 +389,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     add_timeout(parser)
 
 
-def add_import_arguments(parser: argparse.ArgumentParser) -> None:
+def add_import_arguments(parser: ArgumentParser) -> None:
     add = adder(parser)
     add("file", InputPath, "Mitsuba's .xml, or .txt of MIT 6.837", metavar="FILE")
     add("-o --output", OutputFile, "the scene file to write", metavar="SCENE.toml", required=True)
@@ -393,7 +398,7 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add_mesh_dirs(parser)
 
 
-def add_export_arguments(parser: argparse.ArgumentParser) -> None:
+def add_export_arguments(parser: ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add_opening(parser)
     add = adder(parser)
@@ -401,7 +406,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     add("--toml", bool, "write scene.toml as well: our format, with the float32 values that are traced")
 
 
-def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
+def add_probe_arguments(parser: ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add_opening(parser)
     add_pixel(parser)
@@ -416,7 +421,7 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add_reading(parser, "; with --candidate")
 
 
-def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
+def add_fuzz_arguments(parser: ArgumentParser) -> None:
     add = adder(parser)
     add("--time", seconds, "stop after this time, such as 60s, 5m, 1h; default: 60s")
     add("--examples", numbers, "number of examples, or those from A to B", metavar="N|A..B")
@@ -437,7 +442,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add_candidate(parser)
 
 
-def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
+def add_campaign_arguments(parser: ArgumentParser) -> None:
     add = adder(parser)
     help_ = "a campaign file (mitsuba-ref docs campaign), which is run or continued; or a history, which is reported"
     add("file", InputPath, help_, metavar="CAMPAIGN.toml|HISTORY.sqlite")
@@ -452,7 +457,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     add_reference(parser)
 
 
-def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
+def add_stress_arguments(parser: ArgumentParser) -> None:
     add_item_selection(parser, "family", "such as tangency, or watertight for both; default: all")
     add = adder(parser)
     add("--rays", positive_int, "rays of each setting; default: 400, watertight 10000")
@@ -468,7 +473,7 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add_skip_unsupported(add, "families")
 
 
-def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
+def add_bench_arguments(parser: ArgumentParser) -> None:
     add_item_selection(parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names")
     add = adder(parser)
     add("--aov", str, "AOVs of images, such as depth,normal,diffuse; default: depth,normal", metavar="AOV,...")

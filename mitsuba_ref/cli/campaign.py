@@ -1,11 +1,11 @@
 """`mitsuba-ref campaign`: runs the units that the history does not have yet, until they or the budget are used up."""
 
-import argparse
 import json
 import math
 import shlex
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
@@ -29,7 +29,7 @@ from mitsuba_ref.runner.verdict_files import code_hash
 HISTORY_SUFFIX = ".history.sqlite"
 
 
-def run_campaign(args: argparse.Namespace) -> int:
+def run_campaign(args: Namespace) -> int:
     """Run a campaign, or read a history; 0 no new failure, 1 some, 5 nothing judged, 130 interrupted."""
     file = Path(args.file)
     if file.suffix.lower() not in (".toml", ".json"):
@@ -73,7 +73,7 @@ def run_campaign(args: argparse.Namespace) -> int:
 
 
 def results_of(
-    waiting: list[Unit], history: History, run: int, budget: Budget, args: argparse.Namespace
+    waiting: list[Unit], history: History, run: int, budget: Budget, args: Namespace
 ) -> Generator[Result, None, None]:
     """The results of units, in their order, each as soon as the history has it; ends where the budget is used up.
 
@@ -109,7 +109,7 @@ def results_of(
         history.end(run, state)
 
 
-def show(history: History, args: argparse.Namespace) -> int:
+def show(history: History, args: Namespace) -> int:
     """Print the report on the last run and write its files; the exit code. Raises OutputError."""
     found, scenes = report_of(history)
     print_lines(f"\n{as_text(found)}", table_stream(args))

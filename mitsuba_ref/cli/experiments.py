@@ -1,9 +1,9 @@
 """`mitsuba-ref fuzz`, `stress`, `bench` and `versions`: random scenes, sweeps, run time against error, two Mitsubas."""
 
-import argparse
 import itertools
 import os
 import sys
+from argparse import Namespace
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +54,7 @@ from mitsuba_ref.subjects.subject import OURS, Subject
 FUZZ_SECONDS = 60.0
 
 
-def run_fuzz(args: argparse.Namespace) -> int:
+def run_fuzz(args: Namespace) -> int:
     """Fuzz; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay_kept(args)
@@ -81,7 +81,7 @@ def run_fuzz(args: argparse.Namespace) -> int:
     return OK if running.outcome.ok else DIFFERENCES
 
 
-def replay_kept(args: argparse.Namespace) -> int:
+def replay_kept(args: Namespace) -> int:
     """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
     files = [each for each in scene_files([args.replay]) if not each.endswith(".json")]  # such as that of --json
     if not files:
@@ -96,7 +96,7 @@ def replay_kept(args: argparse.Namespace) -> int:
 # ---- stress ----
 
 
-def run_stress(args: argparse.Namespace) -> int:
+def run_stress(args: Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
     known = SPAWNED if args.spawn else SWEPT if args.candidate else (*SWEPT, *SPAWNED)
     families = options.select(known, "family", args.families)
@@ -148,7 +148,7 @@ def sweep_family(
     return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
 
 
-def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family], args: argparse.Namespace) -> StressRun:
+def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family], args: Namespace) -> StressRun:
     """Write the JSON file, if any, and print a last line; returns the result."""
     installed = {name: machine()[name] for name in ("mitsuba", "drjit", "numpy")} | {"libllvm": libllvm()}
     requested = tuple(family.name for family in families)
@@ -168,7 +168,7 @@ def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family],
 # ---- bench ----
 
 
-def run_bench(args: argparse.Namespace) -> int:
+def run_bench(args: Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
     scenes = requested_scenes(args)
     candidate = options.requested_candidate(args, takes_rays=True)
@@ -230,7 +230,7 @@ def time_on_worker(
     return machine_properties(), time_scene(scene, timed, **settings)
 
 
-def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
+def requested_scenes(args: Namespace) -> list[BenchScene]:
     """Scenes of the standard set and of files, with the AOVs of --aov. Raises SceneError, NothingSelected."""
     words = list(map(ScenePath, args.scenes))
     files = [word for word in words if Path(word).suffix]
@@ -250,7 +250,7 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
 # ---- versions ----
 
 
-def run_versions(args: argparse.Namespace) -> int:
+def run_versions(args: Namespace) -> int:
     """Print what changed; 1 if a scene passes with one version alone, 5 nothing was selected. Raises SceneError."""
     pythons = args.interpreters if len(args.interpreters) == 2 else [interpreter(), *args.interpreters]
     if len(pythons) != 2:

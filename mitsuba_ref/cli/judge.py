@@ -1,6 +1,6 @@
 """`mitsuba-ref rays` and `mitsuba-ref judge`: rays for other programs, and their answers against Mitsuba."""
 
-import argparse
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -25,15 +25,7 @@ from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_
 from mitsuba_ref.report.output import print_lines, write_result
 from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.stress.origins import write_parent
-from mitsuba_ref.subjects.ray_files import (
-    HIT_ARRAYS,
-    RayList,
-    answer_of_hits,
-    checked_rays,
-    read_arrays,
-    read_rays,
-    write_rays,
-)
+from mitsuba_ref.subjects.ray_files import RayList, answer_of_hits, checked_rays, read_arrays, read_rays, write_rays
 from mitsuba_ref.subjects.subject import NoAnswer
 
 # ---- rays of a scene, as a file ----
@@ -42,7 +34,7 @@ CAMERA = "camera"
 AIMED_RAYS = 4096  # by default
 
 
-def run_rays(args: argparse.Namespace) -> int:
+def run_rays(args: Namespace) -> int:
     """Write the rays and print their number."""
     kind = args.kind or CAMERA
     if args.bounces:
@@ -62,7 +54,7 @@ def run_rays(args: argparse.Namespace) -> int:
     return OK
 
 
-def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
+def write_bounces(scene: Scene, args: Namespace) -> int:
     """Write bounce-0.npz, the camera's rays, and bounce-1.npz ..., whose `parent` counts in the file before."""
     folder = check_folder(args.output)
     rows, pixels = camera_rows(scene)
@@ -89,7 +81,7 @@ def camera_rows(scene: Scene) -> tuple[Array, Array]:
     return rows, np.array([pixel_of(scene, int(row)) for row in there], np.int32).reshape(-1, 2)
 
 
-def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
+def aimed_rows(scene: Scene, args: Namespace) -> Array:
     """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
     targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed or 0))
     if not targets.counts.sum():
@@ -103,14 +95,14 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> Array:
 # ---- answers to any rays ----
 
 
-def run_judge(args: argparse.Namespace) -> int:
+def run_judge(args: Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
     if args.spawned:
         return run_spawned(args)
     if not args.hits:
         raise SceneError("judge: expected --hits, or --spawned")
     out = without_earlier_results(args)
-    scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_arrays(args.hits, HIT_ARRAYS)
+    scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_arrays(args.hits)
     words = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir", *REFERENCE_OPTIONS)
     entries = entries_of_hits(
         Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.row, words
@@ -126,7 +118,7 @@ def run_judge(args: argparse.Namespace) -> int:
 # ---- origins of rays that leave surfaces ----
 
 
-def run_spawned(args: argparse.Namespace) -> int:
+def run_spawned(args: Namespace) -> int:
     """Judge the origins and print their errors; 0 none, 1 some, 5 nothing to judge."""
     refuse(args, "not together with --spawned", "hits", "html", "junit", "summary_md", "row", "precision")
     found = judge_origins(listed_rays(args))
@@ -145,7 +137,7 @@ def run_spawned(args: argparse.Namespace) -> int:
     return DIFFERENCES if len(found.wrong) else OK
 
 
-def listed_rays(args: argparse.Namespace) -> LeavingRays:
+def listed_rays(args: Namespace) -> LeavingRays:
     """The rays of --spawned after the exact hits of their parents in --rays. Raises SceneError, FileMissing."""
     scene, parents = load_scene(args.scene, args.mesh_dir), read_rays(args.rays).rows.astype(np.float64)
     arrays = read_arrays(args.spawned, names := ("rays", "parent"), names)

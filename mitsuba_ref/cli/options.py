@@ -1,7 +1,7 @@
 """Options of a candidate, and those that fuzz, stress and bench share."""
 
-import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -26,7 +26,7 @@ from mitsuba_ref.subjects.subject import Subject
 OPENING_OPTIONS = ("define", "sensor", "strict")
 
 
-def opening_of(args: argparse.Namespace) -> Opening:
+def opening_of(args: Namespace) -> Opening:
     """How -D, --sensor and --strict open Mitsuba files. Raises SceneError for a word that is not NAME=VALUE."""
     words = getattr(args, "define", [])
     for word in words:
@@ -36,7 +36,7 @@ def opening_of(args: argparse.Namespace) -> Opening:
     return Opening(parameters, getattr(args, "sensor", None) or 0, getattr(args, "strict", False))
 
 
-def load_scene_or_original(args: argparse.Namespace) -> Scene:
+def load_scene_or_original(args: Namespace) -> Scene:
     """The scene of add_scene, at the film size of --size; of a Mitsuba file, with that file as its reference."""
     if is_original(args.scene):
         return open_scene(args.scene, opening_of(args), size=args.size, mesh_dirs=args.mesh_dir)
@@ -46,7 +46,7 @@ def load_scene_or_original(args: argparse.Namespace) -> Scene:
 # ---- a candidate ----
 
 
-def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -> Subject | None:
+def requested_candidate(args: Namespace, *, takes_rays: bool = False) -> Subject | None:
     """The candidate of --candidate; None: our caster is judged. Raises SceneError for one that cannot be used.
 
     takes_rays: one that renders images of its own camera cannot.
@@ -76,12 +76,12 @@ READING_OPTIONS = ("map", "depth", "miss")  # of add_reading
 CANDIDATE_OPTIONS = ("candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)  # beside --candidate
 
 
-def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
+def candidate_words(args: Namespace) -> tuple[str, ...]:
     """The options of the candidate, for a replay with the same one; () without one."""
     return given_words(args, "candidate", *CANDIDATE_OPTIONS)
 
 
-def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
+def given_words(args: Namespace, *names: str) -> tuple[str, ...]:
     """Those of these options that were given, as words of a command line. Raises SceneError unless they are UTF-8."""
     words: list[str] = []
     for name in names:
@@ -96,13 +96,13 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
     return tuple(words)
 
 
-def refuse(args: argparse.Namespace, why: str, *names: str) -> None:
+def refuse(args: Namespace, why: str, *names: str) -> None:
     """Raise SceneError where one of these options was given."""
     for option in given_words(args, *names)[:1]:
         raise SceneError(f"{option}: {why}")
 
 
-def reading_of(args: argparse.Namespace) -> Reading:
+def reading_of(args: Namespace) -> Reading:
     """The options of add_reading, the defaults where the command has none. Raises SceneError."""
     maps, depth, miss = (getattr(args, name, None) for name in READING_OPTIONS)
     return Reading(tuple(maps or ()), depth, miss)
@@ -126,7 +126,7 @@ def missing_variants() -> str:
     return f"{', '.join(missing)}: does not work here: {works.why}\n" if missing else ""
 
 
-def table_stream(args: argparse.Namespace) -> TextIO:
+def table_stream(args: Namespace) -> TextIO:
     """The stream for tables: standard error if the JSON goes to standard output."""
     return sys.stderr if args.json == STANDARD_OUTPUT else sys.stdout
 

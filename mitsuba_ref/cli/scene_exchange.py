@@ -1,7 +1,7 @@
 """`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or files of MIT 6.837."""
 
-import argparse
 import os
+from argparse import Namespace
 from pathlib import Path
 
 from caster.classroom.course_files import load_course_scene
@@ -29,7 +29,7 @@ from mitsuba_ref.subjects.subject import scene_as_traced
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 
 
-def run_render(args: argparse.Namespace) -> int:
+def run_render(args: Namespace) -> int:
     """Render with Mitsuba and write the file; 1 when Mitsuba ends without an answer."""
     check_exr_suffix(args.output)
     scene, names = load_scene_or_original(args), tuple(comma_separated(args.aov))
@@ -50,7 +50,7 @@ def run_render(args: argparse.Namespace) -> int:
     return OK
 
 
-def run_import(args: argparse.Namespace) -> int:
+def run_import(args: Namespace) -> int:
     """Convert a scene, and list its parts that were left out. Raises SceneError, FileMissing, OutputError."""
     suffix = Path(args.file).suffix.lower()
     if Path(args.output).suffix.lower() != ".toml":
@@ -101,7 +101,7 @@ def with_files(scene: Scene, folder: Path) -> Scene:
     return scene.model_copy(update={"shapes": shapes, "materials": materials})
 
 
-def from_course(args: argparse.Namespace) -> ImportedScene:
+def from_course(args: Namespace) -> ImportedScene:
     """Read a file of MIT 6.837. The window of an orthographic camera is moved back if something is behind it."""
     if args.define:
         raise SceneError(f"-D {args.define[0]}: a text of MIT 6.837 has no parameters")
@@ -122,7 +122,7 @@ def files_of(scene: Scene) -> list[str]:
     return [file for shape in scene.shapes if (file := getattr(shape, "file", None))]
 
 
-def run_export(args: argparse.Namespace) -> int:
+def run_export(args: Namespace) -> int:
     """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
     scene = load_scene_or_original(args)
     exported = export_scene(scene)

@@ -1,10 +1,10 @@
 """`mitsuba-ref validate`: judge scenes against Mitsuba, one row each; `merge`: the verdicts of all shards as one."""
 
-import argparse
 import os
 import sys
 import time
 import traceback
+from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -37,7 +37,7 @@ from mitsuba_ref.runner.validation_run import VERDICT, ValidationRun, expected_t
 from mitsuba_ref.runner.verdict_files import read_verdict
 
 
-def run_validate(args: argparse.Namespace) -> int:
+def run_validate(args: Namespace) -> int:
     """Validate the selected scenes; 0 all pass, 1 some do not, 5 nothing was selected, 130 interrupted."""
     entries = selected_entries(args)
     out = without_earlier_results(args)
@@ -60,7 +60,7 @@ RUN_OPTIONS = ("workers", "engine", "maxfail", "shard", "skip_unsupported", "min
 BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the program"
 
 
-def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
+def selected_entries(args: Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet. Raises SceneError, NothingSelected."""
     fits = matching(args.expression)
     again = (*given_words(args, "mesh_dir", *OPENING_OPTIONS, *REFERENCE_OPTIONS), *candidate_words(args))
@@ -98,7 +98,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     return entries
 
 
-def without_earlier_results(args: argparse.Namespace) -> Path | None:
+def without_earlier_results(args: Namespace) -> Path | None:
     """Remove verdicts of an earlier run, which would be taken for this one's if it ended without any; the --out folder.
 
     Before a candidate is loaded, which may end the process.
@@ -114,7 +114,7 @@ def without_earlier_results(args: argparse.Namespace) -> Path | None:
 
 
 def judge_entries(
-    args: argparse.Namespace, entries: Sequence[SceneEntry], judge: JudgeOptions, out: Path | None, **more: Any
+    args: Namespace, entries: Sequence[SceneEntry], judge: JudgeOptions, out: Path | None, **more: Any
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code. more: of ValidationRun."""
     variants.require_variants()  # its errors come before any work
@@ -150,9 +150,7 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def write_results(
-    running: ValidationRun, verdict: Verdict, args: argparse.Namespace, seconds: float, stream: TextIO
-) -> None:
+def write_results(running: ValidationRun, verdict: Verdict, args: Namespace, seconds: float, stream: TextIO) -> None:
     """Write the report files, then print failures and the summary."""
     expected = getattr(args, "write_expected", None)
     try:
@@ -171,7 +169,7 @@ def write_results(
         running.finish(verdict)
 
 
-def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
+def write_verdict_files(verdict: Verdict, args: Namespace, seconds: float) -> None:
     """Write --json, --junit and --summary-md. Raises OutputError."""
     write_result(verdict, args.json)
     if args.junit:
@@ -183,7 +181,7 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
 # ---- mitsuba-ref merge ----
 
 
-def run_merge(args: argparse.Namespace) -> int:
+def run_merge(args: Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
     places = [str(Path(place) / VERDICT) if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])

@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz.cases import Case, ray_of, scene_data
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Finding, Tally
 from mitsuba_ref.hard.family import scene_of
-from mitsuba_ref.hard.random_parts import random_shape, shape_types
+from mitsuba_ref.hard.random_parts import random_shape
 from mitsuba_ref.hard.rays import Frame, endless
 from mitsuba_ref.hard.swept_families import NO_VIEW
 from mitsuba_ref.judge import checks as registry
@@ -210,15 +210,8 @@ def failure_mode(failure: Failure) -> str:
 # ---- shapes that a candidate takes
 
 
-def answered_types(subject: Subject) -> tuple[str, ...]:
-    """Types of shapes that a subject does not decline; all of them if it declines each, or takes no rays."""
-    types = shape_types()
-    if subject is OURS or not subject.takes_rays:
-        return types
-    return tuple(each for each in types if _answers(subject, each)) or types
-
-
-def _answers(subject: Subject, shape_type: str) -> bool:
+def answers(subject: Subject, shape_type: str) -> bool:
+    """Whether a subject does not decline this type of shape."""
     shape = random_shape(np.random.default_rng(0), Frame(), [shape_type])
     try:
         request_answer(subject, scene_of({**NO_VIEW, "shape": [shape]}))

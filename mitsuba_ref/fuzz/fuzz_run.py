@@ -18,7 +18,7 @@ from caster.geometry.packing import Packed, packed
 from caster.system.cluster import CallEnded
 from mitsuba_ref.error_model.intersections import Rays
 from mitsuba_ref.fuzz.cases import case_of, write_kept
-from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answered_types, check_image, check_rays, exception_finding, find
+from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answers, check_image, check_rays, exception_finding, find
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, JUDGED_KINDS, Failure, Finding, Outcome, Tally
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Shrinker
 from mitsuba_ref.hard import BY_NAME
@@ -76,8 +76,11 @@ class Drawing:
 
     @cached_property
     def types(self) -> tuple[str, ...]:
-        """Of the shapes that the scenes keep: those that the candidate does not decline."""
-        return answered_types(self.candidate or OURS)
+        """Of the shapes that the scenes keep: those that the candidate does not decline; all if it declines each."""
+        subject, types = self.candidate, shape_types()
+        if not (subject and subject.takes_rays):
+            return types
+        return tuple(each for each in types if answers(subject, each)) or types
 
     def example(self, number: int) -> Example:
         return Example(self.seed, number, BY_NAME[self.families[number % len(self.families)]], self.types)

@@ -3,16 +3,16 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import Rays
+from mitsuba_ref.shapes.shape_reference import Fields
 from mitsuba_ref.shapes.targets import Rng
 
-Fields = dict[str, Any]  # of a scene, a shape, a camera or a film, as a scene file gives them
 AimRays = Callable[[Rng, Packed, int], Rays]  # of the packed scene; so many rays, or fewer if a family has no more
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mitsuba_ref import cameras
 from mitsuba_ref.hard import rays
-from mitsuba_ref.hard.family import Family, Fields, HardScene, plain, scene_of
+from mitsuba_ref.hard.family import Family, HardScene, plain, scene_of
 from mitsuba_ref.hard.random_parts import (
     LIGHT_FIELDS,
     SPECULAR,
@@ -26,6 +26,7 @@ from mitsuba_ref.hard.random_parts import (
     with_options,
 )
 from mitsuba_ref.hard.rays import Aim, Frame, Targets, aimed_rays, perturbed_by_ulps
+from mitsuba_ref.shapes.shape_reference import Fields
 from mitsuba_ref.shapes.targets import Rng, coin_flip
 
 Shapes = list[Fields]

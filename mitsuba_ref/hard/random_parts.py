@@ -9,9 +9,9 @@ import numpy as np
 
 from caster.cameras import CAMERAS
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.hard.family import Fields
 from mitsuba_ref.hard.rays import Frame
 from mitsuba_ref.shapes import REFERENCES
+from mitsuba_ref.shapes.shape_reference import Fields
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, coin_flip, random_directions
 
 

@@ -10,8 +10,9 @@ from caster.geometry.packing import Packed
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
 from mitsuba_ref.error_model.intersections import Array, Rays, rounded
-from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene, plain
+from mitsuba_ref.hard.family import AimRays, Family, HardScene, plain
 from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, Targets, endless
+from mitsuba_ref.shapes.shape_reference import Fields
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints, random_unit_vectors
 
 CANDIDATES_PER_RAY = 64  # at the extreme end of a sweep few rays go where they were aimed

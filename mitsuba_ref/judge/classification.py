@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from caster.description.errors import SceneError
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
@@ -23,7 +24,7 @@ from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE, UncertainRaysMod
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import Adjudication, claims_of, exact_ratios, oracle_answers, sample_rows
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
-from mitsuba_ref.judge.comparison import Pixels, allowed_shares, check_ratios, pair_images
+from mitsuba_ref.judge.comparison import BOUNDED_AOVS, Pixels, check_ratios, pair_images
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.judge.diffuse import diffuse_within_float64, hits_of, judge_diffuse
 from mitsuba_ref.judge.verdict import CLASSES, JUDGED_WITHOUT_REFERENCE
@@ -89,7 +90,11 @@ class Judge(Pixels):
 
     def judge(self) -> Judgement:
         """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
-        allowed = allowed_shares(self.scene.checks if self.names_prims else {})
+        checks = self.scene.checks if self.names_prims else {}
+        for name in checks:
+            if name not in BOUNDED_AOVS:
+                raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
+        allowed = {name: check.ratio for name, check in checks.items()}
         ratios = check_ratios(self)
 
         # Step 1: plain agreement. Images that contradict themselves, and invalid answers, agree with nothing.

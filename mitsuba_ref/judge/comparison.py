@@ -5,7 +5,6 @@ float32's bounds at that primitive, and with an independent computation at that 
 precision. Any other subject is compared with the primitive that the reference names, within bounds of its precision.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -13,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.aovs import Aovs
-from caster.description.errors import SceneError
 from caster.rendering.images import film_window
-from caster.scene.model import Check, Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, intersections_at, row_distance
 from mitsuba_ref.error_model.intersections import (
     Array,
@@ -279,17 +277,6 @@ def check_ratios(pixels: Pixels) -> dict[str, Array]:
             own_ratio = np.where(both | check.fails, error_over_bound(check.error, check.bound), 0.0)
             found[name] = np.maximum(found[name], own_ratio)
     return found
-
-
-def allowed_shares(checks: Mapping[str, Check]) -> dict[str, float]:
-    """The share of its bound that each check may use, if the scene sets one by [check.AOV].
-
-    Raises SceneError for a [check.AOV] that has no effect.
-    """
-    for name in checks:
-        if name not in BOUNDED_AOVS:
-            raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
-    return {name: check.ratio for name, check in checks.items()}
 
 
 @without_float_warnings

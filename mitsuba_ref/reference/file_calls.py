@@ -15,6 +15,7 @@ import numpy as np
 
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.reference.messages import OpenRefusal, OpenRequest, OpenResponse
+from mitsuba_ref.shapes.shape_reference import Fields
 
 mi: Any = mitsuba
 PLUGIN_FOLDER = str(list(mi.file_resolver())[-1]) if hasattr(mi, "file_resolver") else ""  # of 3.7 and later
@@ -47,9 +48,9 @@ class Parsed(NamedTuple):
     unlit: list[str]  # why diffuse cannot be compared
     names: dict[int, str]  # ids in the file, by node
     refers: dict[int, list[int]]  # nodes that a node refers to, in their order; instantiation removes them
-    materials: dict[int, dict[str, Any] | None]  # of each bsdf that a shape has, as the caster has it
-    textures: dict[int, dict[str, Any]]  # of these materials, by node: without colours, but with their place
-    colored: dict[str, dict[str, Any]]  # materials of shapes by name, with the colours of their textures
+    materials: dict[int, Fields | None]  # of each bsdf that a shape has, as the caster has it
+    textures: dict[int, Fields]  # of these materials, by node: without colours, but with their place
+    colored: dict[str, Fields]  # materials of shapes by name, with the colours of their textures
 
     def instantiate(self) -> Any:
         loaded = mi.parser.instantiate(self.config, self.state)
@@ -191,7 +192,7 @@ def color(props: Any, name: str, default: float = 1.0) -> list[float] | None:
     return None
 
 
-def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
+def material(parsed: Parsed, number: int) -> Fields | None:
     """A material as the caster has it; None for any other."""
     props = parsed.state.nodes[number].props
     plugin = props.plugin_name()
@@ -211,14 +212,14 @@ def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
     return None
 
 
-def texture(parsed: Parsed, number: int) -> dict[str, Any] | None:
+def texture(parsed: Parsed, number: int) -> Fields | None:
     """A texture as the caster has it; None, with a reason in `unlit`, for any other.
 
     Colours are named by the field that they are for and the parameter that Mitsuba has them in.
     """
     props = parsed.state.nodes[number].props
     plugin, matrix = props.plugin_name(), np.eye(4)
-    found: dict[str, Any] | None = None
+    found: Fields | None = None
     if plugin == "checkerboard":
         colors = {name: color(props, name, default) for name, default in CHECKERBOARD.items()}
         found = colors if all(colors.values()) else None
@@ -243,7 +244,7 @@ def _is_picture(path: str) -> bool:
         return False
 
 
-def light(props: Any) -> dict[str, Any] | None:
+def light(props: Any) -> Fields | None:
     """A light as the caster has it; None for any other."""
     plugin = props.plugin_name()
     if plugin not in DIFFUSE_LIGHTS or (strength := color(props, DIFFUSE_LIGHTS[plugin])) is None:
@@ -283,7 +284,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse | OpenRefu
         return OpenRefusal(problem=f"sensor {request.sensor}: the file has {len(sensors)}, counted from 0")
     sensor = sensors[request.sensor] if sensors else _view_of_all(scene, request.size)
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
-    shapes: list[dict[str, Any]] = []
+    shapes: list[Fields] = []
     number_of: dict[int, int] = {}
     for i, props in parsed.nodes(kind.Shape):
         if (shape := loaded.get(str(i))) and props.plugin_name() != "instance":
@@ -374,7 +375,7 @@ def _missing_files(parsed: Parsed) -> Iterator[str]:
             yield f"{parsed.place(i)}: cannot read {name} (tried {tried})"
 
 
-def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> dict[str, Any]:
+def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> Fields:
     """The shapes of groups, which Mitsuba does not show, loaded by themselves."""
     shape = mi.ObjectType.Shape
     groups = [i for i, props in parsed.nodes(shape) if props.plugin_name() == "shapegroup"]
@@ -398,7 +399,7 @@ def _leaves(parsed: Parsed, numbers: Iterable[int]) -> Iterator[int]:
 Placement = tuple[str, int, str, list[list[float]] | None]
 
 
-def _placements(parsed: Parsed, loaded: dict[str, Any], number_of: dict[int, int]) -> Iterator[Placement]:
+def _placements(parsed: Parsed, loaded: Fields, number_of: dict[int, int]) -> Iterator[Placement]:
     """Every shape of the scene; an instance has those of its group."""
     shape = mi.ObjectType.Shape
     for i in dict.fromkeys(_leaves(parsed, parsed.children(0, shape))):
@@ -422,14 +423,14 @@ def _number(value: Any) -> float:
     return float(np.array(value).ravel()[0])
 
 
-def _shape(shape: Any) -> dict[str, Any]:
+def _shape(shape: Any) -> Fields:
     """The record of a loaded shape.
 
     rows, (n, columns) float32: vertices as vertices_of; control points with their radii; centres, scales and
     quaternions of ellipsoids. faces, (m, 3): of a mesh.
     """
     kind = "mesh" if shape.is_mesh() else HELD.get(shape.class_name(), "")
-    record: dict[str, Any] = {"kind": kind}
+    record: Fields = {"kind": kind}
     if not kind:
         return record
     record["flipped"] = bool(shape.has_flipped_normals())
@@ -467,7 +468,7 @@ def vertices_of(mesh: Any) -> Array:
     return rows
 
 
-def _camera(props: Any, sensor: Any) -> dict[str, Any]:
+def _camera(props: Any, sensor: Any) -> Fields:
     """Numbers of a sensor by name, beside its plugin, its matrix and the field of view that Mitsuba computed."""
     kinds = mi.Properties.Type
     plain = (kinds.Float, kinds.Integer, kinds.String)

@@ -28,6 +28,7 @@ from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
 from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.reference.shared_input import model_of, shared_rays
 from mitsuba_ref.reference.store import key_of
+from mitsuba_ref.shapes.shape_reference import Fields
 
 SUFFIX = ".xml"
 
@@ -143,7 +144,7 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
     across = np.eye(3)[np.argmin(np.abs(d))].tolist()  # not parallel to d
     view = {"type": "pinhole", "eye": o, "direction": d, "up": across}  # for whatever needs some camera
-    parts: dict[str, Any] = {"film": film, "camera": camera or view, "lights": tuple(found.lights)}
+    parts: Fields = {"film": film, "camera": camera or view, "lights": tuple(found.lights)}
     scene = MitsubaScene(**parts, materials=found.materials, shapes=shapes)
     start = np.zeros(len(found.rays))
     if camera and camera["type"] == "pinhole":
@@ -206,7 +207,7 @@ def _shape(record: Mapping[str, Any], instance: Any, named: Any) -> Shape:
     if kind == "mesh":
         faces = record["faces"]
         mirrored = is_mirrored(outer)  # ours has the corners in another order then, and so other barycentrics
-        fields: dict[str, Any] = {
+        fields: Fields = {
             "vertices": rows[:, :3],
             "faces": faces[:, [0, 2, 1]] if mirrored else faces,
             "normals": (-1.0 if mirrored else 1.0) * rows[:, 3:6] if record["smooth"] else None,
@@ -245,7 +246,7 @@ def _condition(linear: Array) -> float:
     return float(np.ldexp(1.0, int(ceil_log2(grown.sum(axis=1).max()))))
 
 
-def _placed(matrix: Array) -> dict[str, Any]:
+def _placed(matrix: Array) -> Fields:
     return {} if np.array_equal(matrix, np.eye(4)) else {"to_world": [{"matrix": matrix.tolist()}]}
 
 
@@ -259,7 +260,7 @@ SQUARE_PIXEL_RTOL = 5e-4
 SKEW_ATOL = 4 * 2.0**-24  # products of the axes of a rotation that was rounded to float32
 
 
-def camera_of(about: Mapping[str, Any]) -> tuple[dict[str, Any] | None, bool, str]:
+def camera_of(about: Mapping[str, Any]) -> tuple[Fields | None, bool, str]:
     """(camera like a sensor, or None; whether it has the sensor's rays, up to rounding; a note on it).
 
     about: the sensor's numbers and its plugin.

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from caster.aovs import AOVS, Aovs
+from caster.description.errors import SceneError
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
@@ -149,10 +150,12 @@ def aovs_of(result: ReferenceResult, rays: SharedRays, shape: tuple[int, int], n
 def render_reference(
     scene: Scene, aovs: Sequence[str] = REFERENCE_AOVS, *, variant: str | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[Aovs, dict[str, str]]:
-    """Render a scene with Mitsuba: (images as from `caster.render`, versions). Raises MitsubaError.
+    """Render a scene with Mitsuba: (images as from `caster.render`, versions). Raises MitsubaError, SceneError.
 
     aovs: of REFERENCE_AOVS. variant: of Mitsuba, default the one that works best here. timeout: in seconds.
     """
+    if unknown := [name for name in aovs if name not in REFERENCE_AOVS]:
+        raise SceneError(f"unknown AOV '{unknown[0]}'; expected a list of: {', '.join(REFERENCE_AOVS)}")
     rays = shared_rays(scene)
     model = model_of(scene, rays)
     lights = not {"diffuse", "albedo"}.isdisjoint(aovs)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from caster.system.process import PARENT_VARIABLE, at_forced_exit, die_with_parent
+from caster.system.process import PARENT_VARIABLE, die_with_parent, forced_exit_actions
 
 OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
 REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone
@@ -107,7 +107,7 @@ def kill_subprocesses() -> None:
             kill_group(group)
 
 
-at_forced_exit(kill_subprocesses)
+forced_exit_actions.insert(0, kill_subprocesses)
 
 
 def allow_subprocesses() -> None:

@@ -154,25 +154,26 @@ def file_of(scene: str) -> str:
 
 
 # Plain scripts of the folder `page`, in this order, in one scope: a page opened from a file may not load modules.
+Json = dict[str, Any]  # for the scripts of the page
 SCRIPTS = (
     "floats", "arrays", "colors", "record", "words", "state", "layers", "paint", "legend", "rows", "list", "panes",
     "zoom", "levels", "pointer", "inspector", "evidence", "summary", "scene", "help", "keys", "start",
 )  # fmt: skip
 
 
-def page_words() -> dict[str, Any]:
+def page_words() -> Json:
     """What the page needs to decode records, and the sentence of each scene check."""
     checks = {each.name: (inspect.getdoc(each.make) or "").partition("\n\n")[0] for each in all_checks()}
     return {"codes": CODES, "checks": checks, "largest_z": LARGEST_Z}
 
 
-def write_page(index: Path, run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+def write_page(index: Path, run: Json, rows: Sequence[Json]) -> None:
     """Write the page. Raises OutputError."""
     with atomic_write(index) as part, part.open("w", encoding="utf-8") as file:
         file.writelines(page(run, rows))
 
 
-def page(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+def page(run: Json, rows: Sequence[Json]) -> Iterator[str]:
     """The page in pieces. run: data of the whole run; rows: of the index."""
     scripts = "\n".join(_part(f"{name}.js") for name in SCRIPTS)
     before, after = _part("page.html").split("<!--DATA-->")
@@ -194,7 +195,7 @@ def _part(name: str) -> str:
 SAME_AS_VERDICT = ("name", "path", "ok", "size", "hit_pixels", "failing", "adjudicated")
 
 
-def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
+def index_row(verdict: SceneVerdict, thumbnail: str | None) -> Json:
     """One scene of the index. thumbnail: None for a scene without a record in the folder data."""
     broken = [(check.name, check.ratio) for check in broken_checks(verdict)]
     failed = [(failure.check, failure.ratio) for failure in verdict.failures]

@@ -4,7 +4,6 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import replace as with_fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.shapes import kind_of, reference_of
+from mitsuba_ref.shapes.shape_reference import Fields
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, kept_fields, packs_identically
 
@@ -44,8 +44,8 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Ite
     rays, scene = judge.rays.for_reference(), judge.scene
     if rays.t_max[row] < 0.0:
         raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
-    shapes: list[dict[str, Any]] = []
-    materials: dict[str, Any] = {}
+    shapes: list[Fields] = []
+    materials: Fields = {}
     notes: list[str] = []
     for prim in sorted(involved_prims(judge, row, lit)):
         shape, note = shape_of(judge, prim)
@@ -55,7 +55,7 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> tuple[Scene, Ite
             shapes.append(shape)
         notes += note
     ray = scene_of_ray(scene, rays.o[row], rays.d[row], float(rays.t_max[row]))
-    parts: dict[str, Any] = {
+    parts: Fields = {
         "film": ray.film,
         "camera": ray.camera,
         "lights": scene.lights if lit else (),
@@ -91,7 +91,7 @@ def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     return found - {-1}
 
 
-def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
+def shape_of(judge: Judge, prim: int) -> tuple[Fields, list[str]]:
     """(description of one primitive that packs to the same numbers, notes on what could not be kept)."""
     packed = judge.model.packed
     i = int(packed.shape_of(np.array([prim]))[0])
@@ -112,7 +112,7 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     return shape | {"name": name, **kept_fields(whole)}, [f"note: {note}"] if note else []
 
 
-def pack_one(shape: dict[str, Any]) -> Packed:
+def pack_one(shape: Fields) -> Packed:
     """Pack the description of one shape in float32. Raises SceneError."""
     return pack(Scene(camera=Ray(origin=(0, 0, 0), direction=(0, 0, 1)), shapes=[shape]), as_float32)
 

@@ -29,7 +29,7 @@ from mitsuba_ref.reference.store import key_of, local_store
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner.verdict_files import verdict_key
-from mitsuba_ref.subjects.ray_files import HitsFile, RayList, lay_out
+from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, RAY_ARRAYS, HitsFile, RayList, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 UNKNOWN = "unknown"  # hash of inputs that cannot be read
@@ -90,8 +90,10 @@ def entries_of_hits(
 
     where: the source of the hits, for messages. row: of the one ray to judge; None: all of them.
     """
-    count = len(rays.rows)
+    count, hits = len(rays.rows), {name: values for name, values in hits.items() if name not in RAY_ARRAYS}
     for array, values in hits.items():
+        if array not in HIT_ARRAYS:
+            raise SceneError(f"{where}: expected arrays of {', '.join(HIT_ARRAYS)}, got '{array}'")
         if values.shape[:1] != (count,):
             raise SceneError(
                 f"{where}: {array}: expected one row for each of the {count} rays, got shape {values.shape}"

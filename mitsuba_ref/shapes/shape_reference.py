@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.intersections import Array, ErrorModel, GroupKey, s
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import PointsFunction, Rng
 
-Fields = dict[str, Any]  # of a shape, as a scene file gives them
+Fields = dict[str, Any]  # of a scene, a shape, a camera, a light or a film, as a scene file gives them
 RandomFields = Callable[[Rng, bool], Fields]
 
 # (arrays, k (m,), Mitsuba's barycentrics (m, 3) and position (m, 3)) -> (m, 3) sum of the magnitudes of the terms of

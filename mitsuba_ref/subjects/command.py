@@ -101,11 +101,11 @@ def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
         raise NoAnswer(f"the program {how} {exit_name(end.code)}{_last_words(end)}")
 
 
-def _last_words(end: ProcessEnd) -> str:
-    """What a program said in one line, then the end of all that it said."""
+def _last_words(end: ProcessEnd, where: str = "") -> str:
+    """What a program said in one line, then the end of all that it said; where: it is read from."""
     headline, words = printable(end.headline), printable(end.output).strip()[-LAST_WORDS:]
     more = f"\n{words}" if words != headline else ""
-    return f": {headline}{more}" if words else "; it printed nothing"
+    return f": {headline}{more}" if words else f"; it printed nothing{where}"
 
 
 # ---- a command that reads a scene and writes an EXR file ----
@@ -347,7 +347,9 @@ class ServedCommand(RayProgram):
             raise NoAnswer(f"the program gave no answer to read: {error}") from error
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
-            raise NoAnswer(f"the program ended before its response was whole{_last_words(ended.end)}") from None
+            raise NoAnswer(
+                f"the program ended before its response was whole{_last_words(ended.end, ' to standard error')}"
+            ) from None
         if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
         return self.answer_of_bytes(reply[HEAD_BYTES:], request, "its response")

@@ -21,6 +21,7 @@ from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import PRECISIONS, Answer, CastRequest, NoAnswer, Subject, Unsupported, exception_text
 
+Function = Callable[..., Any]  # (scene, o, d) -> (t, n), or with more
 # package.module:function
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
 HIDDEN_FRAMES = (
@@ -39,7 +40,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
     return function_subject(imported(text), text, precision)
 
 
-def imported(text: str) -> Callable[..., Any]:
+def imported(text: str) -> Function:
     """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")
     module, here = module.removesuffix(".py"), str(Path.cwd())
@@ -62,7 +63,7 @@ def imported(text: str) -> Callable[..., Any]:
         found = getattr(found, name)
     if not callable(found):
         raise SceneError(f"expected a function, got {type(found).__name__}")
-    call: Callable[..., Any] = found
+    call: Function = found
     return call
 
 
@@ -88,7 +89,7 @@ def spawn_rule(text: str) -> Callable[[Array, Array, Array], Array]:
     return spawn
 
 
-def function_subject(call: Callable[..., Any], name: str = "", precision: str | None = None) -> "FunctionSubject":
+def function_subject(call: Function, name: str = "", precision: str | None = None) -> "FunctionSubject":
     """A function as a candidate, with its attribute `precision` unless one is given. Raises SceneError."""
     name = name or getattr(call, "__name__", type(call).__name__)
     declared = precision or getattr(call, "precision", None)
@@ -104,11 +105,11 @@ CALLED = "it is called as function(scene, o, d), with o and d (n, 3) float64, an
 class FunctionSubject(Subject):
     """A candidate that is a Python function."""
 
-    call: Callable[..., Any]
+    call: Function
     precision: str | None = None  # None: that of the arrays it returns
     takes_rays: ClassVar[bool] = True
 
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Function, tuple[Any, ...]]:
         """A pickle names the function; the process that reads it imports the module."""
         return import_function, (self.name, self.precision)
 

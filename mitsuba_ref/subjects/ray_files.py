@@ -21,6 +21,7 @@ from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject,
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 ZIP_MAGIC = b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
+RAY_ARRAYS = ("rays", "width", "parent")  # which a file of hits may hold as well
 STRIP_WIDTH = 256  # of the film on which rays are laid out, if the list names none
 
 
@@ -34,8 +35,8 @@ class RayList(NamedTuple):
 # ---- arrays of .npz files
 
 
-def read_arrays(path: str | Path, names: Sequence[str], required: Sequence[str] = ()) -> dict[str, Array]:
-    """The arrays `names` of a .npz file, of which `required` have to be there. Nothing is unpickled.
+def read_arrays(path: str | Path, names: Sequence[str] = (), required: Sequence[str] = ()) -> dict[str, Array]:
+    """The arrays `names` of a .npz file, or all, of which `required` have to be there. Nothing is unpickled.
 
     Raises FileMissing, also for files that hold objects, are cut short or do not fit into memory.
     """
@@ -47,13 +48,12 @@ def read_arrays(path: str | Path, names: Sequence[str], required: Sequence[str] 
         file.seek(0)
         try:
             loaded: Any = np.load(file, allow_pickle=False)
-            found = {name: loaded[name] for name in loaded.files if name in names}
+            found = {name: loaded[name] for name in loaded.files if not names or name in names}
         except Exception as error:  # NumPy and zipfile raise various types for damaged bytes
             raise FileMissing(f"{path}: cannot be read: {error}") from error
     if not found or not found.keys() >= set(required):
-        raise FileMissing(
-            f"{path}: expected arrays of {', '.join(required or names)}, got {', '.join(loaded.files) or 'none'}"
-        )
+        expected = f" of {', '.join(required or names)}" if names else ""
+        raise FileMissing(f"{path}: expected arrays{expected}, got {', '.join(loaded.files) or 'none'}")
     for name, values in found.items():
         kind = getattr(values, "dtype", None)  # bytes, where a member of the archive is no array
         if kind is None or kind.kind not in "fiub":
@@ -69,7 +69,7 @@ def read_rays(path: str | Path) -> RayList:
 
     Raises FileMissing, SceneError.
     """
-    arrays = read_arrays(path, ("rays", "width"), ("rays",))
+    arrays = read_arrays(path, RAY_ARRAYS[:2], RAY_ARRAYS[:1])
     width = int(arrays["width"]) if arrays.get("width", np.zeros(3)).size == 1 else 0
     return checked_rays(arrays["rays"], str(path), width)
 

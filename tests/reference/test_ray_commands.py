@@ -121,7 +121,7 @@ np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
 MISSES = "respond(struct.pack('<f', float('inf')) * n)"
 NO_RESPONSE = {
     "crash": ("print('last words', file=sys.stderr); os.abort()", "SIGABRT: last words"),
-    "end": ("sys.exit(0)", "ended before its response was whole"),
+    "end": ("sys.exit(0)", "ended before its response was whole; it printed nothing to standard error"),
     "silence": ("time.sleep(60)", "killed after 2 s"),
     "words": ("print('12345678 rays read', flush=True)", "starts with the bytes b'12345678'"),
     "too few": ("respond(b'1234')", "as an int64 4; expected the length of"),

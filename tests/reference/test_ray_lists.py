@@ -288,7 +288,8 @@ def test_rays_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
 
 HOSTILE_HITS = {
     "too few": ({"t": np.ones(1)}, 2, "one row for each of the 2 rays"),
-    "nothing known": ({"distance": np.ones(2)}, 4, "expected arrays of t"),
+    "nothing known": ({"distance": np.ones(2)}, 2, "expected arrays of t"),
+    "misspelt": ({"t": np.ones(2), "normal": np.ones((2, 3))}, 2, "prim_id, any_hit, got 'normal'"),
     "normals alone": ({"n": np.ones((2, 3))}, 2, "an array t, or any_hit"),
     "ids of floats": ({"t": np.ones(2), "prim_id": np.ones(2)}, 2, "expected whole numbers"),
     "t of one column": ({"t": np.ones((2, 1))}, 2, "t: expected shape (n,) = (2,), got (2, 1)"),

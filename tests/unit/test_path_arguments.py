@@ -114,6 +114,18 @@ def test_a_scene_of_an_input_folder_is_no_output(tmp_path, capsys):
     assert (tmp_path / "a.toml").read_text() == "precious"
 
 
+@pytest.mark.parametrize("name", ["mine.py", "run", "ours.exr", "a.obj"])
+@pytest.mark.parametrize("option", ["--json", "--junit", "--write-expected", "--summary-md"])
+def test_no_candidate_and_no_mesh_is_an_output(name, option, tmp_path, capsys, monkeypatch):
+    """As a module, a program, an image, and a mesh that the scene names."""
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text("precious")
+    candidate = "./run {mesh} {rays} {hits}" if name == "run" else "mine:trace" if name != "ours.exr" else name
+    assert mitsuba_ref.__main__.main(["validate", "a.toml", "--candidate", candidate, option, name]) == 2
+    assert "expected another path: it is an input" in " ".join(capsys.readouterr().err.split())
+    assert Path(name).read_text() == "precious"
+
+
 def test_two_outputs_are_two_files(tmp_path, capsys):
     argv = ["merge", str(tmp_path), "--json", str(tmp_path / "x"), "--junit", str(tmp_path / "." / "x")]
     assert mitsuba_ref.__main__.main(argv) == 2

@@ -116,6 +116,11 @@ def test_a_caster_right_for_no_ray_of_length_1_fails():
     assert not found.ok and found.what.endswith("is right for |d| = 1: nothing is hit"), found.what
 
 
+def test_back_faces_that_are_hit_are_not_called_missed():
+    found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, 1.001 * t, t)))
+    assert not found.ok and found.what.startswith("other hits: "), found.what
+
+
 def test_what_fails_already_or_is_not_there_is_not_judged():
     assert check_ray_conventions(FunctionSubject("candidate", right), scene_of("one-sphere"), failing=True) is None
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
@@ -139,6 +144,9 @@ LIMITED = [
     ("hits = cast(scene, o, d, t_min=t_min)", False, "a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min 0"),
     ("hits = cast(scene, o, d, t_max=t_max)", False, "a hit has t_min < t <= t_max: "),
     ("hits = cast(scene, o, d, t_min=t_min, t_max=np.nextafter(t_max, 0))", True, "a hit is missed at t_max"),
+    # t one place off, as rounding may have it, hides nothing
+    ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max); hits.t[:] *= 1 + 2**-52", True, f"{len(LIMITS)} rays"),
+    ("hits = cast(scene, o, d, t_min=t_min); hits.t[:] *= 1 + 2**-52", False, "a hit has t_min < t <= t_max: "),
 ]
 
 

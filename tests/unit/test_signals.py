@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from places import ROOT
 from programs import python
 
 from caster.system import process
@@ -87,6 +88,17 @@ def test_a_signal_after_the_command_shows_no_traceback(tmp_path):
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=5.0)
     assert (child.returncode, err) == (-signal.SIGINT, "")
+
+
+@pytest.mark.parametrize("words", ["caster check", "mitsuba_ref validate --candidate mine:trace --size 4 4"])
+def test_a_closed_standard_output_is_no_error(words, tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "import caster\ndef trace(scene, o, d):\n    hits = caster.cast(scene, o, d)\n    return hits.t, hits.normal\n"
+    )
+    command = f"{sys.executable} -P -m {words} {ROOT}/scenes/one-sphere.toml >&-"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
+    assert done.returncode == 0 and b"Traceback" not in done.stderr, done.stderr
 
 
 def test_an_ignored_signal_stays_ignored(monkeypatch):

@@ -18,15 +18,13 @@ import numpy as np
 from pydantic import AfterValidator
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
-from caster.description.input_files import MAX_MESH_BYTES, read_input
+from caster.description.input_files import MAX_MESH_BYTES, MESH_SUFFIXES, read_input
 from caster.description.transform import compose, is_mirrored, rotations, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_off, parse_ply, parse_ply_spheres
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
 __all__ = ["load_points"]
-
-MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
 
 def load_mesh(path: str | PathLike[str]) -> Mesh:

@@ -62,7 +62,8 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
     cause = _cause(*(each[wrong][:, tells[0]] for each in (given, t, off, length)))
     for side, words in ((1.0, "back faces are missed"), (-1.0, "front faces are missed")):
         seen = tells & np.isfinite(t) & (side * slope > 0.0)
-        if (seen & right).sum() <= (1.0 - NEARLY_ALL) * seen.sum() < seen.sum() and (right | seen | ~tells).all():
+        missed = seen & (given > (1.0 + LARGEST_OFF) * t)
+        if missed.sum() >= NEARLY_ALL * seen.sum() > 0 and (right | seen | ~tells).all():
             cause = words
     return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
 
@@ -165,22 +166,24 @@ def check_ray_limits(subject: Subject) -> Found | None:
         scene = Scene.model_validate({"camera": Ray(**Ray.MINIMAL), "shape": shapes})
         rays = endless_rays(*(np.tile(v, (len(LIMITS), 1)) for v in (np.array(at), np.array([0.0, 0.0, 1.0]))))
         try:
-            given = _answer_to(subject, scene, rays._replace(t_min=t_min, t_max=t_max.astype(np.float32))).tolist()
+            given = _answer_to(subject, scene, rays._replace(t_min=t_min, t_max=t_max.astype(np.float32)))
         except NoAnswer as error:  # such as shapes that it does not have
             why = why or str(error)
             continue
-        if given[0] != LIMITS[0].t:
-            why = f"without limits it gives t = {given[0]:g} in place of {LIMITS[0].t:g}"
+        usual, other = np.isclose(
+            given[:, None], [(each.t, each.other) for each in LIMITS], rtol=MATCH_RTOL, atol=0.0
+        ).T
+        if not usual[0]:
+            why = f"without limits it gives t = {given[0]:.9g} in place of {LIMITS[0].t:g}"
             continue
-        for each, t in zip(LIMITS, given, strict=True):
-            if t not in (each.t, each.other):
-                what = (
-                    f"a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min {each.t_min:g}, "
-                    f"t_max {each.t_max:g}: expected t = {each.t:g}, got {t:g}; --no-limits states that the "
-                    "candidate's interface has none"
-                )
-                return np.inf, what
-        notes = [each.note for each, t in zip(LIMITS, given, strict=True) if t == each.other]
+        for k in np.flatnonzero(~(usual | other)):
+            what = (
+                f"a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min {t_min[k]:g}, t_max {t_max[k]:g}: "
+                f"expected t = {LIMITS[k].t:g}, got {given[k]:g}; --no-limits states that the candidate's interface "
+                "has none"
+            )
+            return np.inf, what
+        notes = [LIMITS[k].note for k in np.flatnonzero(other)]
         return 0.0, f"a hit {' and '.join(notes)}" if notes else f"{len(LIMITS)} rays"
     return 0.0, f"{NOT_JUDGED}: {why}"
 
