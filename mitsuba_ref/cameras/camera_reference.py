@@ -11,7 +11,6 @@ from caster.description.transform import dot_rows, row_lengths
 from caster.scene.model import Film
 from mitsuba_ref.error_model.intersections import Array, Rays, stacked_columns, unit
 from mitsuba_ref.scene_xml.elements import XmlElement
-from mitsuba_ref.shapes.shape_reference import Fields
 
 
 class ClipRange(NamedTuple):
@@ -38,6 +37,7 @@ def no_sensor(camera: Any, film: Film, limits: ClipRange) -> XmlElement | None:
     return None
 
 
+Fields = dict[str, Any]  # of a camera, as a scene file gives them
 Rng = np.random.Generator
 RandomView = Callable[[], Fields]  # draws eye, direction and up
 

@@ -11,6 +11,7 @@ from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
     CameraReference,
     ClipRange,
+    Fields,
     RandomView,
     Rng,
     camera_axes,
@@ -21,7 +22,6 @@ from mitsuba_ref.cameras.camera_reference import (
 )
 from mitsuba_ref.error_model.intersections import Array, Rays, stacked_columns
 from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
-from mitsuba_ref.shapes.shape_reference import Fields
 
 
 def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:

@@ -127,7 +127,7 @@ def test_colours_of_meshes_are_compared_and_imported(of, folder, monkeypatch):
     path = written(folder, SENSOR + LAMP + content)
     scene, again = judged_and_imported(path)
     assert len(np.unique(scene.images["ours"]["albedo"].reshape(-1, 3), axis=0)) >= (100 if of == "vertex" else 4)
-    assert again.counts["agree"] == scene.counts["agree"] and "diffuse" in again.ratios
+    assert again.hit_pixels == scene.hit_pixels > 500 and "diffuse" in again.ratios
 
 
 @pytest.mark.parametrize("placed", ["<scale x='-1' y='1.2'/>", "<scale value='1'/>"], ids=["mirrored", "plain"])
