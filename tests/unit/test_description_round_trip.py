@@ -4,9 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from places import scene_of
 from ply_files import ply_mesh
 
 import caster
+import mitsuba_ref
 from caster.geometry.mesh_files import load_mesh
 from caster.geometry.packing import pack, primitive_count
 from caster.geometry.world_space import as_float32
@@ -111,3 +113,11 @@ def test_vectors_of_unit_length_round_back():
             as_float32(unit_vector_rounding_to(as_float32(np.array(exact)))), as_float32(np.array(exact))
         )
     assert unit_vector_rounding_to(np.array([0.0, -1.0, 0.0])).tolist() == [0.0, -1.0, 0.0]
+
+
+def test_a_closed_curve_is_one_curve_of_all_its_points(tmp_path):
+    """In Mitsuba's file each curve follows an empty line; this one begins where its last segment ends."""
+    points = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 0))
+    mitsuba_ref.export_xml(scene_of(caster.LinearCurve(points=points, radius=0.25)), tmp_path)
+    (file,) = tmp_path.rglob("*.txt")
+    assert [tuple(map(float, line.split())) for line in file.read_text().splitlines()] == [(*p, 0.25) for p in points]
