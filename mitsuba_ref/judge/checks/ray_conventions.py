@@ -62,7 +62,7 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
     cause = _cause(*(each[wrong][:, tells[0]] for each in (given, t, off, length)))
     for side, words in ((1.0, "back faces are missed"), (-1.0, "front faces are missed")):
         seen = tells & np.isfinite(t) & (side * slope > 0.0)
-        missed = seen & (given > (1.0 + LARGEST_OFF) * t)
+        missed = seen & (given > (1.0 + LARGEST_OFF) * t)  # nothing is hit, or what lies behind
         if missed.sum() >= NEARLY_ALL * seen.sum() > 0 and (right | seen | ~tells).all():
             cause = words
     return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
