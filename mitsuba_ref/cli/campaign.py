@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shlex
 import sys
 import time
@@ -45,7 +46,7 @@ def run_campaign(args: Namespace) -> int:
         return run_one(units, args.unit)
     kept = Path(args.history or file.with_suffix(HISTORY_SUFFIX))
     for option, path in (("--json", args.json), ("--html", args.html)):
-        if path and Path(path).resolve() == kept.resolve():
+        if path and os.path.realpath(path) == os.path.realpath(kept):
             raise SceneError(f"{option} {path}: expected another file than the history, which it would replace")
     with History(kept, create=True) as history:
         about = {

@@ -124,7 +124,7 @@ def respond(content: bytes) -> bytes:
         from mitsuba_ref.reference import mitsuba_calls
 
         return mitsuba_calls.answer(messages.message_of(content)).to_bytes()
-    except (RuntimeError, ImportError) as refusal:
+    except (RuntimeError, ImportError, UnicodeDecodeError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
         os._exit(1)  # without the interpreter's cleanup, in which Dr.Jit has been seen to hang
 
