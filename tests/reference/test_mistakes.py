@@ -1,6 +1,5 @@
 """Beginners' mistakes, each one edit of a right caster, are named as the cause in the first line of the failure."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,14 +17,6 @@ from mitsuba_ref.subjects.ray_files import answer_of_hits
 from mitsuba_ref.subjects.subject import Answer, CastRequest
 
 ALL_MISTAKES = [*mistakes.MISTAKES, *mistakes.DEFECTS]
-LARGEST_CPU_SECONDS = 10.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def warm():
-    """One mistake casts with ours, whose kernels may have to be compiled, which is no part of a judgement."""
-    scene = mistakes.scene_of("torus-smooth", Path(), 2, 2)
-    assert caster.cast(scene, np.zeros((1, 3)), np.ones((1, 3))).shading_normal.shape == (1, 3)
 
 
 def judged(name, trace, scene):
@@ -35,12 +26,10 @@ def judged(name, trace, scene):
 @pytest.mark.parametrize("mistake", ALL_MISTAKES, ids=lambda mistake: mistake.name)
 @pytest.mark.slow("each judges a scene", every=4)
 def test_a_mistake_is_named_in_the_first_line(mistake, tmp_path):
-    start = time.process_time()
     found = judged(mistake.name, mistake.trace, mistakes.scene_of(mistake.scene, tmp_path))
     first = failure_text(found).splitlines()[0]
     assert not found.ok and not found.problem
     assert mistake.says in first, first
-    assert time.process_time() - start < LARGEST_CPU_SECONDS
 
 
 @pytest.mark.parametrize("name", sorted({mistake.scene for mistake in ALL_MISTAKES}))
