@@ -68,10 +68,11 @@ class TileShader:
         if packed.kinds and needs & {"shape_id", "prim_id"}:
             self._ids = PrimitiveIds(packed.prim_shapes, packed.index_in_shape(packed.prim_ids))
         shaded = packed.kinds and needs & {"albedo", "radiance"}
-        materials = [scene.material_of(shape) for shape in scene.shapes]
-        reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
-        both_sides = np.array([material.two_sided for material in materials], bool)
-        self._materials = (reflectance, both_sides) if shaded else None
+        self._materials = None
+        if shaded:
+            materials = [scene.material_of(shape) for shape in scene.shapes]
+            reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
+            self._materials = reflectance, np.array([material.two_sided for material in materials], bool)
         self._textures = None
         if shaded and any(scene.textures):
             derived = packed.kinds[0].derived  # goes with the packed numbers
