@@ -153,6 +153,8 @@ class Cluster:
             start: Any = distributed.LocalCluster
             connect: Any = distributed.Client
             if not address:
+                # silence_logs ends with the cluster, and its connections report their end after that
+                logging.getLogger("distributed").setLevel(logging.CRITICAL)
                 with _sigint_ignored():  # by the workers, which the run ends after Ctrl-C in the terminal
                     cluster = start(
                         n_workers=workers,

@@ -21,7 +21,7 @@ from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject,
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 ZIP_MAGIC = b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
-RAY_ARRAYS = ("rays", "width", "parent")  # which a file of hits may hold as well
+RAY_ARRAYS = ("rays", "width", "parent", "kind", "pixels")  # which a file of hits may hold as well
 STRIP_WIDTH = 256  # of the film on which rays are laid out, if the list names none
 
 
