@@ -193,7 +193,10 @@ def test_ctrl_c_in_a_terminal_ends_the_run_and_its_workers_quietly(tmp_path):
     scratch = {"TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     run = subprocess.Popen([*command, "--judge-every", "0"], cwd=tmp_path, env=os.environ | scratch, **pipes)
-    time.sleep(10.0)
+    end = time.monotonic() + 60.0
+    while not [*tmp_path.glob("*/dask-scratch-space/worker-*")] and time.monotonic() < end:
+        time.sleep(0.1)
+    time.sleep(6.0)  # for the first examples
     os.killpg(run.pid, signal.SIGINT)
     out, err = run.communicate(timeout=30)
     assert run.returncode == 130 and err.splitlines()[-1] == "interrupted", err
