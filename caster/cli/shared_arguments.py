@@ -232,9 +232,10 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
     sources = (value for _, value in given if isinstance(value, InputPath))
     inputs = {_file_id(file) for source in sources for file in [source, *_scene_files_in(source)]}
-    words = " ".join(str(value) for _, value in given if not isinstance(value, (OutputFile, OutputFolder)))
     # the files that a candidate is or names: a program, an image, module:function
-    named = {name for word in words.replace(":", " ").split() for name in (word, word.replace(".", "/") + ".py")}
+    values = [str(value) for _, value in given if not isinstance(value, (OutputFile, OutputFolder))]
+    words = {word for value in values for word in (value, *value.replace(":", " ").split())}
+    named = (name for word in words for name in (word, word.replace(".", "/") + ".py"))
     inputs |= {_file_id(name) for name in named if os.path.isfile(name)}
     option_of: dict[str, str] = {}  # by the path of its output
     with contextlib.ExitStack() as stack:

@@ -463,13 +463,13 @@ def tried_text(judge: Judge, prim: Array, t: Array, rows: Array, cast: CastRays)
     p, turned = o + t * d, d @ TURN
     determinants = np.abs(dot(d, area_vectors(triangle_corners(judge, prim[chosen]))))
     determinants = determinants[np.isfinite(determinants)]
-    smaller = bool((determinants < LARGEST_EPSILON).any())
+    epsilon = "with d scaled by 2^40", "is an epsilon larger than the determinants", o, LONGER * d
     sizes = f"distances of hits here: {range_text(t * norm(d)[:, None])}"
     sizes += f", determinants: {range_text(determinants)}" if len(determinants) else ""
     for changed, question, start, way in (
         ("alone", "does the number of rays matter", o, d),
         (f"from {FARTHER:g} times as near", "are far hits lost", p - t * d / FARTHER, d),
-        *((("with d scaled by 2^40", "is an epsilon larger than the determinants", o, LONGER * d),) * smaller),
+        *([epsilon] if (determinants < LARGEST_EPSILON).any() else []),
         (f"from {FARTHER:g} times as far", "are near hits lost", p - FARTHER * t * d, d),
         ("with d turned by 20 degrees", "is a component of d that is 0 a divisor", p - t * turned, turned),
         ("from the other side", "is one side culled, or a sign of d ignored", p + t * d, -d),

@@ -7,7 +7,7 @@ geometry are replaced or dropped before anything is instantiated, so that their 
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import mitsuba
@@ -375,7 +375,7 @@ def _missing_files(parsed: Parsed) -> Iterator[str]:
             yield f"{parsed.place(i)}: cannot read {name} (tried {tried})"
 
 
-def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> Fields:
+def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> dict[str, Any]:
     """The shapes of groups, which Mitsuba does not show, loaded by themselves."""
     shape = mi.ObjectType.Shape
     groups = [i for i, props in parsed.nodes(shape) if props.plugin_name() == "shapegroup"]
@@ -399,7 +399,7 @@ def _leaves(parsed: Parsed, numbers: Iterable[int]) -> Iterator[int]:
 Placement = tuple[str, int, str, list[list[float]] | None]
 
 
-def _placements(parsed: Parsed, loaded: Fields, number_of: dict[int, int]) -> Iterator[Placement]:
+def _placements(parsed: Parsed, loaded: Mapping[str, Any], number_of: dict[int, int]) -> Iterator[Placement]:
     """Every shape of the scene; an instance has those of its group."""
     shape = mi.ObjectType.Shape
     for i in dict.fromkeys(_leaves(parsed, parsed.children(0, shape))):

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from caster.aovs import AOVS, Aovs
-from caster.description.errors import SceneError
-from caster.rendering.images import film_window
+from caster.rendering.images import check_names, film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.intersections import Array, norm
@@ -154,8 +153,7 @@ def render_reference(
 
     aovs: of REFERENCE_AOVS. variant: of Mitsuba, default the one that works best here. timeout: in seconds.
     """
-    if unknown := [name for name in aovs if name not in REFERENCE_AOVS]:
-        raise SceneError(f"unknown AOV '{unknown[0]}'; expected a list of: {', '.join(REFERENCE_AOVS)}")
+    check_names(aovs)
     rays = shared_rays(scene)
     model = model_of(scene, rays)
     lights = not {"diffuse", "albedo"}.isdisjoint(aovs)

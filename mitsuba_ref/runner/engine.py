@@ -97,7 +97,8 @@ def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True
     that need this process, since no module defines the candidate's function.
     """
     count = workers or core_count()
-    if name != LOCAL:  # a worker that differs in one of these is refused
+    if name != LOCAL:
+        # a worker that differs in one of these is refused
         with Cluster(name, count, worker_identity, SOURCES, SETTINGS, "python", *LIBRARIES) as cluster:
             yield Engine(count, seconds, cluster=cluster)
         return

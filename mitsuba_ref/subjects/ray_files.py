@@ -69,7 +69,7 @@ def read_rays(path: str | Path) -> RayList:
 
     Raises FileMissing, SceneError.
     """
-    arrays = read_arrays(path, RAY_ARRAYS[:2], RAY_ARRAYS[:1])
+    arrays = read_arrays(path, ("rays", "width"), ("rays",))
     width = int(arrays["width"]) if arrays.get("width", np.zeros(3)).size == 1 else 0
     return checked_rays(arrays["rays"], str(path), width)
 
