@@ -163,7 +163,8 @@ def _kept(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Itera
         fits = mistake.predicts(f)
         if not fits.any() or (whole and not _explains_hits(f, fits)):
             continue
-        if mistake.claim == NOTHING or all(mistake.predicts(each).mean() >= NEARLY_ALL for each in groups):
+        shown = mistake.single or right.hit.any() or f.given_hit[fits].any()  # misses alone fit too many mistakes
+        if mistake.claim == NOTHING or (shown and all(mistake.predicts(each).mean() >= NEARLY_ALL for each in groups)):
             yield mistake, fits
 
 

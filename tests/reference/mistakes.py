@@ -352,6 +352,12 @@ MISTAKES = [
         "pile",
         "beyond the outline of a triangle",
     ),
+    Mistake(
+        "hits and misses exchanged",
+        answering(lambda s, o, d, t, n: (np.where(np.isinf(t), 1.0, np.inf), np.ones_like(n))),
+        "pile",
+        "  missed; exact arithmetic hits",
+    ),
     Mistake("everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"),
 ]
 

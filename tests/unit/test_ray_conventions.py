@@ -81,15 +81,22 @@ def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
     assert not found.ok and found.what == "nothing is hit: right for |d| = 1, wrong for rays mirrored in z"
 
 
-def test_a_caster_that_culls_back_faces_is_named_where_mirrored_rays_alone_show_it():
+@pytest.mark.parametrize("box", [False, True], ids=["a wall", "a wall and a box behind it"])
+def test_a_caster_that_culls_back_faces_is_named_where_mirrored_rays_alone_show_it(box):
+    """Along -z the wall shows its front, along +z its back: the box tells culling from a lost sign of d.z."""
+
     def culled(scene, o, d):
         hits = caster.cast(scene, o, d)
         return np.where((hits.normal * d).sum(axis=1) > 0.0, np.inf, hits.t), None
 
-    wall = caster.Rectangle(to_world=[{"scale": 3}])
-    scene = caster.Scene(camera=caster.Pinhole(eye=(0.1, 0.2, 4), look_at=(0, 0, 0)), shapes=[wall])
+    shapes = [caster.Rectangle(to_world=[{"scale": 3}])]
+    if box:
+        shapes.append(caster.Cube(to_world=[{"scale": 0.4}, {"translate": (0.5, 0.5, -2)}]))
+    scene = caster.Scene(camera=caster.Pinhole(eye=(0.1, 0.2, 4), look_at=(0, 0, 0)), shapes=shapes)
     found = check_ray_conventions(FunctionSubject("candidate", culled), scene.with_film(width=24, height=20))
-    assert not found.ok and found.what == "back faces are missed: right for |d| = 1, wrong for rays mirrored in z"
+    other = "" if box else ", or the sign of a component of d is lost"
+    wrong = "right for |d| = 1, wrong for rays mirrored in z"
+    assert not found.ok and found.what == f"back faces are missed{other}: {wrong}"
 
 
 @pytest.mark.parametrize("power", [0, 1], ids=["right", "t is a distance"])

@@ -64,7 +64,8 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
         seen = tells & np.isfinite(t) & (side * slope > 0.0)
         missed = seen & (given > (1.0 + LARGEST_OFF) * t)  # nothing is hit, or what lies behind
         if missed.sum() >= NEARLY_ALL * seen.sum() > 0 and (right | seen | ~tells).all():
-            cause = words
+            mixed = (tells & np.isfinite(t) & right)[wrong].any()  # else all rays of one direction see one side
+            cause = words if mixed else f"{words}, or the sign of a component of d is lost"
     return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
 
 
