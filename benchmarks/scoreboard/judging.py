@@ -10,7 +10,6 @@ from statistics import median
 
 import numpy as np
 
-from mitsuba_ref.error_model.scene_model import Side
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.judge.adjudication import prepare_scene
@@ -140,7 +139,7 @@ def scored(cell: Cell, answer: Answer, rays: int | None) -> Cell:
 
 def ratios(scorer: Scorer, answer: Answer, normals: Sequence[np.ndarray | None]) -> np.ndarray:
     """Errors over bounds, a row for each of the normals."""
-    return np.array([scorer.exact.ratios(replace(answer, n=n), Side(answer.ku)) for n in normals])
+    return np.array([scorer.exact.ratios(replace(answer, n=n), answer.side) for n in normals])
 
 
 def ulps(answer: Answer, rays: int | None) -> tuple[float, float]:
@@ -181,7 +180,7 @@ def compared(answer: Answer | Absent, alone: PreparedSetting) -> tuple[bool, lis
         return (t is None) == hit, lines
     ulp = float(np.spacing(np.float32(t) if answer.precision == "float32" else float(t)))
     scorer = Scorer(alone, ~answer.hit)
-    off, bound = abs(given - float(t)) / ulp, scorer.exact.bounds(Side(answer.ku))[0] / ulp
+    off, bound = abs(given - float(t)) / ulp, scorer.exact.bounds(answer.side)[0] / ulp
     lines.append(f"t is off by {off:.3g} units in the last place of {answer.precision}, allowed are {bound:.3g}")
     if answer.n is None:
         return off > bound, lines

@@ -18,10 +18,10 @@ from caster.system.atomic_files import ScratchFolder
 from caster.system.terminal import report_stage
 from mitsuba_ref.bench.casters import TimedCaster
 from mitsuba_ref.bench.drivers import AOVS, DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE, CannotRun, Work
-from mitsuba_ref.bench.result import Row, SceneResult, Score
+from mitsuba_ref.bench.result import REFERENCE_ROW, Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.error_model.intersections import Array
-from mitsuba_ref.error_model.scene_model import Side
+from mitsuba_ref.error_model.scene_model import REFERENCE_SIDE
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
@@ -69,10 +69,10 @@ def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
     return ready
 
 
-def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False) -> Score:
+def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False, ours: bool = False) -> Score:
     """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
-    answer = Answer(t, None, precision, {})
-    ratio, hits = exact.ratios(answer, Side(answer.ku, own=not reference)), answer.hit & exact.hit
+    answer = Answer(t, None, precision, {}, exact_visibility=ours)
+    ratio, hits = exact.ratios(answer, REFERENCE_SIDE if reference else answer.side), answer.hit & exact.hit
     spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
     return Score(
         rays=len(t),
@@ -139,7 +139,8 @@ class CasterRun:
     def measure_errors(self, exact: ExactHits, rows: Array) -> None:
         found = self.request(do="answer", rows=rows.tolist())
         t, is_reference = np.array(found["t"]), bool(self.caster.variant)
-        self.row["score"] = score(exact, t, found["precision"], reference=is_reference)
+        is_ours = self.caster.key == REFERENCE_ROW
+        self.row["score"] = score(exact, t, found["precision"], reference=is_reference, ours=is_ours)
 
     def result(self) -> Row:
         it = self.caster

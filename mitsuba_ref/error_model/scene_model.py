@@ -33,6 +33,7 @@ class Side(NamedTuple):
 
     ku: float  # K times the unit round-off of its arithmetic
     own: bool = True  # the scene's own primitives, not the reference's stand-ins
+    foreign: bool = False  # any algorithm, such as a candidate's
 
 
 REFERENCE_SIDE, OUR_SIDE = Side(KU, own=False), Side(KU_OURS)
@@ -67,6 +68,8 @@ class SceneModel:
         found = []
         for rows, model, arrays, k in self._by_kind(prim):
             intersect = (side.own and model.intersect_ours) or model.intersect
+            if side.foreign:
+                intersect = model.intersect_foreign or intersect
             for at in intersect(arrays, k, o[rows], d[rows], side.ku):
                 if not (side.own or model.uv.reference):
                     at = at._replace(uv=np.zeros_like(at.uv), uv_error=np.zeros_like(at.t))

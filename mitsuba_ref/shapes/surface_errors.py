@@ -83,6 +83,19 @@ def intersect_ours(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple
     return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
+@without_float_warnings
+def intersect_foreign(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
+    """The same for any algorithm, such as that of Moeller and Trumbore (1997), "Fast, Minimum Storage Ray/Triangle
+    Intersection".
+
+    It rounds N in the numerator and in the denominator of t = (N . a) / (N . d) by different products, so that the
+    error of N turns into one of t. Only what slivers add to the error is added here.
+    """
+    (at,) = intersect_ours(prims, k, o, d, ku)
+    lost = (at.n_error - 2.0 * ku) * np.abs(at.t) * norm(d) / np.abs(dot(at.n, d))
+    return (at._replace(t_error=at.t_error + lost),)
+
+
 def _barycentric_mean(corners: Sequence[Array], weights: Array, weight_errors: Array, ku: float) -> tuple[Array, Array]:
     """Mean of rows (m, c) at three corners, and its bound: errors of the weights, and rounding of three products.
 
@@ -183,7 +196,7 @@ def _uv(prims: Any, k: Array, weights: Array, weight_errors: Array, ku: float) -
     return plain_uv(prims, k, uv), uv_error
 
 
-MODEL = ErrorModel(intersect, TRIANGLES, intersect_ours)
+MODEL = ErrorModel(intersect, TRIANGLES, intersect_ours, intersect_foreign=intersect_foreign)
 
 
 # ---- quadrics ----

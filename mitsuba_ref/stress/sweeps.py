@@ -181,7 +181,7 @@ class Scorer:
         Ours has to be exact. reference: by the bounds of its own arithmetic; no wrong hit or miss of it is excused.
         """
         exact, some = self.exact, answer.rows(self.rows)
-        side = REFERENCE_SIDE if reference else Side(answer.ku)
+        side = REFERENCE_SIDE if reference else answer.side
         ratio = exact.ratios(some, side)
         wrong = ~(ratio <= 1.0)
         open_to_excuse = exact.hit & some.hit if reference else np.full(len(wrong), not answer.exact_visibility)
@@ -216,9 +216,9 @@ class Scorer:
         if not len(place):
             return f"{given}finite, within a closed mesh"
         t, here = self.exact.t[place], answer.rows(self.rows)
-        if here.n is not None and self.exact.ratios(replace(here, n=None), Side(answer.ku))[place[0]] <= 1.0:
+        if here.n is not None and self.exact.ratios(replace(here, n=None), answer.side)[place[0]] <= 1.0:
             prim = np.array([self.exact.answers[place[0]].prim])
-            right = self.exact.near(place, prim, t, Side(answer.ku)).n[0]
+            right = self.exact.near(place, prim, t, answer.side).n[0]
             given, expected = (format_numbers(n) for n in (here.n[place[0]], right))
             return f"ray {ray}: its t is right; normal of the answer: ({given}); expected: ({expected})"
         return f"{given}{t_text(float(t[0]))}"

@@ -86,7 +86,7 @@ class Answer:
     @property
     def side(self) -> Side:
         """The side that its bounds are of."""
-        return Side(self.ku, own=not self.as_exported)
+        return Side(self.ku, own=not self.as_exported, foreign=not self.exact_visibility)
 
 
 def checked_answer(

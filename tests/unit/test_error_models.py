@@ -158,6 +158,19 @@ def test_bounds_hold_for_all_roundings_of_the_inputs_and_are_reached_by_some(kin
     assert flips >= 20 or kind == "planes"
 
 
+@pytest.mark.parametrize(("kind", "ku"), [(np.float32, KU), (np.float64, KU_OURS)])
+def test_bounds_of_candidates_hold_for_the_t_of_moeller_and_trumbore(kind, ku):
+    """Of slivers, it loses more digits than Mitsuba's t and ours."""
+    pairs = pose("triangles", Setting(thin=1e-3, distances=(1e3, 1e4), edges=0.0), [109], 3000, 300)
+    (met,), (ours,) = pairs.solve(), pairs.intersect(ku, ours=True)
+    (at,) = pairs.model.intersect_foreign(pairs.seen, pairs.k, pairs.o, pairs.d, ku)
+    o, d, corners = (a.astype(kind) for a in (pairs.o, pairs.d, pairs.prims.vertices[pairs.prims.faces[pairs.k]]))
+    a, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    t = (np.cross(o - a, e1) * e2).sum(axis=1) / (np.cross(d, e2) * e1).sum(axis=1)
+    off = np.abs(exactly(t) - met.t)[met.hit].astype(float)
+    assert (off <= at.t_error[met.hit]).all() and (off > ours.t_error[met.hit]).sum() >= 20
+
+
 CORNER_SIGNS = np.array(list(itertools.product([-1.0, 1.0], repeat=9))).reshape(-1, 3, 3)
 
 

@@ -77,8 +77,12 @@ PACKED_SHAPES = {
 }
 TARGETS = [(0.5, 0.5, 0.5), (0.1, 0.6, 0.4), (0.9, 0.2, 0.7), (0.0, 0.5, 0.5), (0.3, 0.3, 0.35), (1.0, 1.0, 0.2)]
 ORIGINS = [(7.0, 3.0, 5.0), (0.25, -9.0, -40.0)]
-# (K u, ours): both roundings as they are, and of 1/64, where terms of second order and unresolved hits show
-ROUNDINGS = [(KU, False), (KU_OURS, True), (2.0**-6, False), (2.0**-6, True)]
+# Both roundings as they are, and of 1/64, where terms of second order and unresolved hits show.
+SIDES = {
+    "reference": [Side(KU, own=False), Side(2.0**-6, own=False)],
+    "ours": [Side(KU_OURS), Side(2.0**-6)],
+    "foreign": [Side(KU, foreign=True)],
+}
 ERRORS = ("t_error", "n_error", "sh_error", "p_error", "uv_error")
 
 
@@ -109,11 +113,11 @@ def bounds(shape: Any) -> dict[str, list[float]]:
     d = np.tile(low + np.array(TARGETS) * (high - low), (len(ORIGINS), 1)) - o
     d = (d * 0.75).astype(np.float32).astype(float)
     found = {}
-    for ku, ours in ROUNDINGS:
-        met = model.intersect(np.zeros(len(o), np.int64), o, d, Side(ku, ours))
+    for name, side in ((name, side) for name, sides in SIDES.items() for side in sides):
+        met = model.intersect(np.zeros(len(o), np.int64), o, d, side)
         order = np.lexsort([np.nan_to_num(met.at.t), met.pair])
         for field in ("t", *ERRORS, "possible", "certain"):
-            found[f"{field}, {ku:g}, {'ours' if ours else 'reference'}"] = getattr(met.at, field)[order]
+            found[f"{field}, {side.ku:g}, {name}"] = getattr(met.at, field)[order]
     return {name: np.asarray(values, float).tolist() for name, values in found.items()}
 
 
