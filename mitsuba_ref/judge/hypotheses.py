@@ -258,7 +258,8 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     def of_points(g: WrongPixels) -> Array:
         length = norm(g.d)
         rounding = answer.ku * (norm(g.o) + np.abs(g.t) * length) / length
-        return _is_rounding_of_t(g, rounding + g.at.t_error + g.t_rounding)
+        told = rounding >= g.at.t_error / MORE_THAN_ROUNDING  # from the rounding of t itself
+        return told & _is_rounding_of_t(g, rounding + g.at.t_error + g.t_rounding) | ~(g.hit | g.given_hit)
 
     if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
         yield Mistake(
@@ -272,6 +273,8 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
         "t has the rounding of a point's coordinates, as (p - o) . d / d . d has",
         "return the t of the intersection, not that of the hit point",
         of_points,
+        # where few are wrong, the others show it, too
+        SURFACES if len(f.rows) < (1.0 - NEARLY_ALL) * f.judge.hit.sum() else NOTHING,
         single=True,
     )
     if answer.precision == FLOAT64:

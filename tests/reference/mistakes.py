@@ -328,6 +328,12 @@ MISTAKES = [
     ),
     Mistake("t of points", answering(from_points), "far away", "the rounding of a point's coordinates"),
     Mistake(
+        "a few t of fewer digits",
+        answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 397 == 7, t * (1.0 + 1e-13), t), n)),
+        "far wall",
+        "  t is off: behind what is hit, by 1e-13 of itself",
+    ),
+    Mistake(
         "some normals turned",
         answering(turned_at_some_faces),
         "torus-smooth",

@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.shapes import kind_of, reference_of
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
-from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
+from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, _uv as plane_uv, as_triangles
 from mitsuba_ref.shapes.surface_errors import UNRESOLVABLE
 
 Off = Callable[[np.ndarray], np.ndarray]
@@ -206,6 +206,12 @@ def test_a_patch_stands_in_for_its_plane_within_the_bound():
         off = np.abs((patch.t - met.t).astype(float))[fine] / at.t_error[fine]
         assert fine.sum() >= 200
         assert 1e-3 <= off.max() <= 1.0
+
+
+def test_uv_of_a_plane_are_not_known_where_rounding_decides_on_its_axes():
+    n, q = np.array([[0.5, 0.5, 0.5**0.5], [0.6, 0.0, 0.8]]), np.array([[1.0, 2.0, 2.0]] * 2)
+    _, off = plane_uv(n, q, np.zeros(2), KU)
+    assert off[0] >= 6.0 and off[1] < 1e-4
 
 
 @every_kind

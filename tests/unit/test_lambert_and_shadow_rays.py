@@ -8,9 +8,12 @@ import pytest
 from places import scene_of
 
 from mitsuba_ref.error_model import lambert
+from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import without_edges
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
+from mitsuba_ref.error_model.scene_model import OUR_SIDE
 from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.reference.shared_input import own_model, packed_float32
 
 LIGHTS = [
     {"type": "point", "position": [1.3, 2.1, 0.4], "intensity": [10, 20, 5]},
@@ -112,6 +115,14 @@ def test_the_bound_at_its_limits(n, d, p_error, error, doubtful):
     white = hit._replace(reflectance=np.ones((COUNT, 3)), two_sided=np.zeros(COUNT, bool))
     found = light_contribution(light, white, KU)
     assert np.all(found.error == pytest.approx(error, rel=1e-14)) and (found.doubtful == doubtful).all()
+
+
+def test_what_lies_well_beyond_the_start_is_certain_to_shadow_ours():
+    """A sphere around all points, and the light outside."""
+    hit, around = some(np.random.default_rng(143)), scene_of({"type": "sphere", "radius": 2.1})
+    bracket = Bracket(own_model(packed_float32(around)), OUR_SIDE)
+    lit = light_contribution(SCENE.lights[0], hit, KU)
+    assert lambert.our_shadows(bracket, hit, lit, np.full(COUNT, -1))[1].all()
 
 
 def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light():

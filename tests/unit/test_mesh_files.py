@@ -10,7 +10,7 @@ import pytest
 from ply_files import ENCODINGS, INDICES, XYZ, ply, ply_mesh
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh_files import GLB_HEADER, load_mesh
+from caster.geometry.mesh_files import GLB_HEADER, _rotations_as_matrices, load_mesh
 from caster.geometry.mesh_files.ply import parse_off
 from caster.geometry.triangle_mesh import vertex_normals
 from caster.shapes.mesh import Mesh
@@ -415,6 +415,7 @@ def glb(change=lambda nodes: None):
 
 
 def test_nodes_of_a_gltf_place_their_meshes_with_the_outside_outside(load, tmp_path):
+    assert b"rotation" not in _rotations_as_matrices(glb(), "glb")
     mesh = load("a.glb", glb())
     found = trimesh.load_scene(str(tmp_path / "a.glb"), process=False, maintain_order=True).to_mesh()
     assert np.array_equal(mesh.faces, found.faces) and len(mesh.vertices) == len(found.vertices)

@@ -17,7 +17,7 @@ CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])
 
 def built():
     return Scene(
-        film=Film(width=8, height=6, crop=[1, 2, 5, 6]),
+        film=Film(width=8, height=6, crop=[2, 2, 5, 6]),
         camera=CAMERA,
         lights=[Point(position=[0, 3, 0], intensity=[1, 2, 3]), Ambient(radiance=[0, 0, 1])],
         materials={"red": Diffuse(reflectance=[1, 0, 0])},
@@ -52,9 +52,9 @@ def test_all_errors_of_a_python_scene_come_at_once():
 def test_another_film_leaves_the_rest_alone():
     scene = built()
     larger = scene.with_film(width=16, height=12)
-    assert larger.film == Film(width=16, height=12, crop=[2, 4, 10, 12])
+    assert larger.film == Film(width=16, height=12, crop=[4, 4, 10, 12])
     assert larger.model_copy(update={"film": scene.film}) == scene
-    assert scene.film == Film(width=8, height=6, crop=[1, 2, 5, 6])
+    assert scene.film == Film(width=8, height=6, crop=[2, 2, 5, 6])
 
 
 def reached(first, end, old, new):
@@ -66,7 +66,7 @@ def reached(first, end, old, new):
 @pytest.mark.parametrize("size", [(8, 6), (9, 7), (17, 18), (7, 5), (101, 97), (4, 2), (1, 1), (3, 100)])
 def test_a_resized_film_keeps_all_pixels_that_its_crop_reaches(size):
     film = built().with_film(width=size[0], height=size[1]).film
-    x, y = reached(1, 5, 8, size[0]), reached(2, 6, 6, size[1])
+    x, y = reached(2, 5, 8, size[0]), reached(2, 6, 6, size[1])
     assert (film.width, film.height) == size and film.crop == film.window == (x[0], y[0], x[1], y[1])
 
 
