@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any, NamedTuple, NoReturn
 
 from caster import __version__
-from caster.cli.shared_arguments import checked_paths
+from caster.cli.shared_arguments import Adder, checked_paths
 from caster.description.errors import suggestion
 from caster.system import NOT_HERE, terminal
 from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, report_error, run_command
@@ -22,7 +22,7 @@ __all__ = ["Command"]
 
 
 class Command(NamedTuple):
-    """An entry of a registry. Its module defines functions `arguments(parser)` and `run(args) -> exit code`."""
+    """An entry of a registry. Its module defines functions `arguments(add)` and `run(args) -> exit code`."""
 
     name: str  # as typed
     help: str  # one line
@@ -36,7 +36,7 @@ class Command(NamedTuple):
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments to the parser of the command. The module of `run` is imported when it runs."""
         if self.arguments:
-            getattr(import_module(self.arguments_in or self.module), self.arguments)(parser)
+            getattr(import_module(self.arguments_in or self.module), self.arguments)(Adder(parser))
         parser.set_defaults(run=lambda args: getattr(import_module(self.module), self.run)(args))
 
 

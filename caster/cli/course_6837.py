@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
+from argparse import Namespace
 
 from caster.cli.shared_arguments import (
+    Adder,
     InputPath,
     OutputFile,
     add_mesh_dirs,
     add_threads,
-    adder,
     check_film_size,
     output_file_unless_number,
 )
@@ -19,21 +19,25 @@ from caster.description.errors import SceneError, error_prefix
 from caster.system.process import OK
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
+def add_arguments(add: Adder) -> None:
     add("-input", InputPath, "a scene file of the course", metavar="SCENE.txt", required=True)
     add("-size", int, "default: 100 100", nargs=2, metavar=("W", "H"), default=(100, 100))
     add("-output", OutputFile, "the colours: diffuse and ambient light, .png or .tga", metavar="IMAGE")
-    help_ = "t along the ray: white at NEAR, black at FAR and where nothing is hit"
-    add("-depth", output_file_unless_number, help_, nargs=3, metavar=("NEAR", "FAR", "IMAGE"))
+    add(
+        "-depth",
+        output_file_unless_number,
+        "t along the ray: white at NEAR, black at FAR and where nothing is hit",
+        nargs=3,
+        metavar=("NEAR", "FAR", "IMAGE"),
+    )
     add("-normals", OutputFile, "|x|, |y|, |z| of the normal as red, green, blue", metavar="IMAGE")
     add("-shade_back", bool, "light surfaces from behind, too, instead of black")
     add("-shadows", bool, "lights cast shadows")
-    add_threads(parser)
-    add_mesh_dirs(parser)
+    add_threads(add)
+    add_mesh_dirs(add)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Render and write the images; print what was written and what was left out.
 
     Raises SceneError, FileMissing, OutputError.

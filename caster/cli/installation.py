@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.metadata
 import json
 import os
 import platform
 import re
+from argparse import Namespace
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from caster.cli.shared_arguments import InputPath, adder
+from caster.cli.shared_arguments import Adder, InputPath
 from caster.system import processor
 from caster.system.process import FILE, OK
 from caster.system.terminal import folded
@@ -55,15 +55,19 @@ class Finding(NamedTuple):
     way_out: str = ""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
+def add_arguments(add: Adder) -> None:
     add("--json", bool, "as JSON")
-    help_ = "compile the kernels that `caster render` would compile at first use, for these scene files; "
-    help_ += "without any, for all shapes and cameras, which takes minutes"
-    add("--warm", InputPath, help_, metavar="SCENE", nargs="*")
+    add(
+        "--warm",
+        InputPath,
+        "compile the kernels that `caster render` would compile at first use, for these scene files; "
+        "without any, for all shapes and cameras, which takes minutes",
+        metavar="SCENE",
+        nargs="*",
+    )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Print the findings (4 if something needed is missing), or compile kernels. Raises SceneError, FileMissing."""
     return print_findings(report(), args.json) if args.warm is None else warm(args.warm, args.json)
 

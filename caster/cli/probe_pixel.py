@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from caster.cli.shared_arguments import add_pixel, add_scene, adder, load
+from caster.cli.shared_arguments import Adder, add_pixel, add_scene, load
 from caster.description.errors import error_prefix
 from caster.system.process import OK
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 MAX_LISTED = 8  # primitives in the text; --json lists all
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
-    add_pixel(parser)
-    adder(parser)("--json", bool, "as JSON, with all primitives that are hit")
+def add_arguments(add: Adder) -> None:
+    add_scene(add)
+    add_pixel(add)
+    add("--json", bool, "as JSON, with all primitives that are hit")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Print the intersections of the pixel's ray. Raises SceneError for a pixel outside the film."""
     scene = load(args)
     from caster.cli.inspection import probe

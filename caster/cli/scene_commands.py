@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -13,12 +13,12 @@ from caster.cli.shared_arguments import (
     AOV_NAMES,
     DEFAULT_AOV_LIST,
     SCENE_FILE,
+    Adder,
     InputPath,
     OutputFile,
     add_mesh_dirs,
     add_scene,
     add_threads,
-    adder,
     check_exr_suffix,
     comma_separated,
     engine,
@@ -35,22 +35,29 @@ if TYPE_CHECKING:
 # ---- render: a scene file in, an EXR file out ----
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
-    add = adder(parser)
-    help_ = "default: the scene's name with .exr, in this folder; written in tiles, as they are rendered"
-    add("-o --output", OutputFile, help_, metavar="OUT.exr")
+def add_arguments(add: Adder) -> None:
+    add_scene(add)
+    add(
+        "-o --output",
+        OutputFile,
+        "default: the scene's name with .exr, in this folder; written in tiles, as they are rendered",
+        metavar="OUT.exr",
+    )
     add("--aov", str, f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}", metavar="A,B,...")
-    help_ = "render these pixels only; X1 and Y1 are exclusive"
-    add("--crop", int, help_, nargs=4, metavar=("X0", "Y0", "X1", "Y1"))
-    add_threads(parser)
-    help_ = "what renders the bands of a large film: local; dask, a Dask cluster started here; or dask:ADDRESS"
-    add("--engine", engine, help_, metavar="ENGINE", default="local")
+    add("--crop", int, "render these pixels only; X1 and Y1 are exclusive", nargs=4, metavar=("X0", "Y0", "X1", "Y1"))
+    add_threads(add)
+    add(
+        "--engine",
+        engine,
+        "what renders the bands of a large film: local; dask, a Dask cluster started here; or dask:ADDRESS",
+        metavar="ENGINE",
+        default="local",
+    )
     add("--explain", bool, "print how the image was computed, and what was skipped")
     add("--json", bool, "print the same as JSON, with counts of the work done")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Render, write the file band by band and print a summary. Raises SceneError, FileMissing, OutputError."""
     scene = load(args)
     if args.crop is not None:
@@ -102,12 +109,12 @@ def run(args: argparse.Namespace) -> int:
 # ---- check and schema ----
 
 
-def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    adder(parser)("scenes", InputPath, SCENE_FILE, metavar="SCENE", nargs="+")
-    add_mesh_dirs(parser)
+def add_check_arguments(add: Adder) -> None:
+    add("scenes", InputPath, SCENE_FILE, metavar="SCENE", nargs="+")
+    add_mesh_dirs(add)
 
 
-def run_check(args: argparse.Namespace) -> int:
+def run_check(args: Namespace) -> int:
     """Print one line for a valid scene, all errors of an invalid one. 2 if any is invalid, 4 if any is missing."""
     from caster.geometry.packing import in_words
     from caster.scene.files import load_scene
@@ -126,7 +133,7 @@ def run_check(args: argparse.Namespace) -> int:
     return next((code for code in (USAGE, FILE) if code in codes), OK)
 
 
-def print_schema(args: argparse.Namespace) -> int:
+def print_schema(args: Namespace) -> int:
     """Print the JSON Schema of scene files."""
     from caster.scene.files import scene_schema
 

@@ -11,10 +11,10 @@ import contextlib
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.description.input_files import MESH_SUFFIXES, SCENE_SUFFIXES
@@ -25,13 +25,13 @@ __all__ = [
     "AOV_NAMES",
     "DEFAULT_AOV_LIST",
     "METAVARS",
+    "Adder",
     "InputPath",
     "OutputFile",
     "OutputFolder",
     "add_mesh_dirs",
     "add_pixel",
     "add_scene",
-    "adder",
     "check_exr_suffix",
     "check_film_size",
     "check_utf8_name",
@@ -55,33 +55,46 @@ AOV_NAMES = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, 
 DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 
 
-def adder(place: argparse._ActionsContainer) -> Callable[..., argparse.Action]:
-    """A function that adds an argument to a parser or a group: add(names, type, help, ...); bool is a flag."""
+class Adder(NamedTuple):
+    """Adds an argument to a parser or a group of it: add(names, type, help, ...); bool is a flag."""
 
-    def add(names: str, kind: Any, about: str | None = None, **more: Any) -> argparse.Action:
+    place: argparse._ActionsContainer
+
+    def __call__(self, names: str, kind: Any, about: str | None = None, **more: Any) -> None:
         usual = {"action": "store_true"} if kind is bool else {"type": kind, "metavar": METAVARS.get(kind)}
-        return place.add_argument(*names.split(), help=about, **(usual | more))
+        self.place.add_argument(*names.split(), help=about, **(usual | more))
 
-    return add
+    def group(self, title: str) -> Adder:
+        """Adds to a new group with a title in the help."""
+        return Adder(self.place.add_argument_group(title))
+
+    def one_of_group(self) -> Adder:
+        """Adds to a new group of which only one argument may be given."""
+        return Adder(self.place.add_mutually_exclusive_group())
 
 
-def add_scene(parser: argparse.ArgumentParser, kind: type[InputPath] | None = None) -> None:
+def add_scene(add: Adder, kind: type[InputPath] | None = None) -> None:
     """Add SCENE, --mesh-dir and --size. kind: of the path that is typed for the scene."""
-    add = adder(parser)
     add("scene", kind or InputPath, SCENE_FILE, metavar="SCENE")
-    add_mesh_dirs(parser)
+    add_mesh_dirs(add)
     add("--size", int, "film in pixels, instead of the scene's own", nargs=2, metavar=("W", "H"))
 
 
-def add_mesh_dirs(parser: argparse._ActionsContainer) -> None:
+def add_mesh_dirs(add: Adder) -> None:
     """Add --mesh-dir, which may be repeated."""
-    help_ = "a folder beyond the scene's own in which its meshes are looked for; may be given several times"
-    adder(parser)("--mesh-dir", InputPath, help_, action="append", default=[], metavar="DIR")
+    add(
+        "--mesh-dir",
+        InputPath,
+        "a folder beyond the scene's own in which its meshes are looked for; may be given several times",
+        action="append",
+        default=[],
+        metavar="DIR",
+    )
 
 
-def add_threads(parser: argparse.ArgumentParser) -> None:
+def add_threads(add: Adder) -> None:
     """Add --threads."""
-    adder(parser)("--threads", thread_number, "default: one for each core", metavar="N")
+    add("--threads", thread_number, "default: one for each core", metavar="N")
 
 
 MAX_THREADS = 1024  # more than the processors of any machine
@@ -120,9 +133,8 @@ def check_exr_suffix(output: str) -> None:
         raise SceneError(f"-o {output}: expected a name that ends in .exr")
 
 
-def add_pixel(parser: argparse.ArgumentParser) -> None:
+def add_pixel(add: Adder) -> None:
     """Add X and Y."""
-    add = adder(parser)
     add("x", coordinate, "column of the pixel, 0 at the left", metavar="X")
     add("y", coordinate, "row of the pixel, 0 at the top", metavar="Y")
 

@@ -1,14 +1,14 @@
 """`caster info` and `caster preview`: contents of EXR files, and images of AOVs for viewing."""
 
-import argparse
 import json
 import os
 import sys
+from argparse import Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from caster.cli.shared_arguments import InputPath, OutputFile, adder
+from caster.cli.shared_arguments import Adder, InputPath, OutputFile
 from caster.system.process import OK
 from caster.system.terminal import printable
 
@@ -18,13 +18,12 @@ TYPES = {"float32": "float", "float16": "half", "uint32": "uint"}
 # ---- caster info ----
 
 
-def add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
+def add_info_arguments(add: Adder) -> None:
     add("file", InputPath, "an EXR file; of a multi-part one, all parts", metavar="FILE.exr")
     add("--json", bool, "as JSON, with all of the provenance")
 
 
-def info(args: argparse.Namespace) -> int:
+def info(args: Namespace) -> int:
     """Print the description of an EXR file. Raises FileMissing, UnreadableExr."""
     found = describe_exr(args.file)
     print(json.dumps(found, indent=2) if args.json else format_info(found))
@@ -87,15 +86,13 @@ def _truncated(value: str) -> str:
 # ---- caster preview ----
 
 
-def add_preview_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
+def add_preview_arguments(add: Adder) -> None:
     add("file", InputPath, "a file of `caster render`, or of verdicts or differences", metavar="FILE.exr")
-    help_ = ".png or .tga; default: the file's name with .png, in this folder"
-    add("-o --output", OutputFile, help_, metavar="IMAGE")
+    add("-o --output", OutputFile, ".png or .tga; default: the file's name with .png, in this folder", metavar="IMAGE")
     add("--aov", str, "default: diffuse, else class, normal or depth", metavar="A")
 
 
-def preview(args: argparse.Namespace) -> int:
+def preview(args: Namespace) -> int:
     """Write the image, and its colour legend to standard error.
 
     Raises FileMissing, UnreadableExr, SceneError, OutputError.

@@ -1,14 +1,14 @@
 """`mitsuba-ref doctor`: the parts of the judge found on this machine, and the effect of missing ones; and `schema`."""
 
-import argparse
 import json
 import sys
+from argparse import Namespace
 from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
 from caster.cli.installation import Finding, print_findings
-from caster.cli.shared_arguments import adder
+from caster.cli.shared_arguments import Adder
 from caster.description.errors import SceneError
 from caster.system.process import OK
 from mitsuba_ref.reference.interpreter import interpreter
@@ -23,11 +23,11 @@ from mitsuba_ref.reference.variants import (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    adder(parser)("--json", bool, "as JSON")
+def add_arguments(add: Adder) -> None:
+    add("--json", bool, "as JSON")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Print the findings; 4 when something needed is missing."""
     return print_findings([*caster_doctor.report(), *judge_findings()], args.json)
 
@@ -104,12 +104,11 @@ RESULTS = {
 }
 
 
-def add_schema_arguments(parser: argparse.ArgumentParser) -> None:
-    help_ = f"whose --json the schema describes: {', '.join(RESULTS)}"
-    adder(parser)("result", str, help_, choices=RESULTS, metavar="RESULT")
+def add_schema_arguments(add: Adder) -> None:
+    add("result", str, f"whose --json the schema describes: {', '.join(RESULTS)}", choices=RESULTS, metavar="RESULT")
 
 
-def run_schema(args: argparse.Namespace) -> int:
+def run_schema(args: Namespace) -> int:
     """Print the JSON Schema of a result."""
     print(json.dumps(result_schema(args.result), indent=2))
     return OK

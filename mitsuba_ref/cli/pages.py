@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 import webbrowser
+from argparse import Namespace
 from pathlib import Path
 
-from caster.cli.shared_arguments import adder
+from caster.cli.shared_arguments import Adder
 from caster.description.errors import FileMissing, SceneError, suggestion
 from caster.system.process import OK
 from caster.system.terminal import unfiltered
@@ -20,14 +20,19 @@ MAP = "README"
 LARGEST_WIDTH = 100  # columns of running text
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
-    help_ = "such as candidates, internals/jit or jit; default: the list of all pages"
-    add("page", str, help_, metavar="PAGE", nargs="?", default=MAP)
+def add_arguments(add: Adder) -> None:
+    add(
+        "page",
+        str,
+        "such as candidates, internals/jit or jit; default: the list of all pages",
+        metavar="PAGE",
+        nargs="?",
+        default=MAP,
+    )
     add("--html", bool, "open the page of the site that `make site` has built")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Show the page. Raises SceneError if there is none, FileMissing if the site has not been built."""
     name = full_name(args.page)
     if not args.html:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import shlex
+from argparse import Namespace
 from pathlib import Path
 from typing import NamedTuple
 
-from caster.cli.shared_arguments import OutputFolder, adder
+from caster.cli.shared_arguments import Adder, OutputFolder
 from caster.description.errors import SceneError
 from caster.system.atomic_files import check_folder, write_text
 from caster.system.process import OK
@@ -34,14 +34,19 @@ LANGUAGES = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
+def add_arguments(add: Adder) -> None:
     add("language", str, ", ".join(LANGUAGES), metavar="LANGUAGE", choices=LANGUAGES)
-    help_ = "created if it does not exist; default: the current one"
-    add("folder", OutputFolder, help_, metavar="FOLDER", nargs="?", default=OutputFolder("."))
+    add(
+        "folder",
+        OutputFolder,
+        "created if it does not exist; default: the current one",
+        metavar="FOLDER",
+        nargs="?",
+        default=OutputFolder("."),
+    )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
     """Write the files of a language, and print how to go on. Raises SceneError, and writes nothing, if one exists."""
     language, folder = LANGUAGES[args.language], check_folder(Path(args.folder))
     texts = {file.name: file.read_text(encoding="utf-8") for file in sorted((STARTERS / args.language).glob("*.*"))}

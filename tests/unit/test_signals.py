@@ -21,8 +21,8 @@ from caster.system import process
 from caster.cli.application import Command, main
 from caster.system.atomic_files import ScratchFolder, atomic_write
 process.GRACE_SECONDS = 0.5
-def add_arguments(parser):
-    parser.add_argument("what", choices=("threads", "orderly", "done"))
+def add_arguments(add):
+    add("what", str, choices=("threads", "orderly", "done"))
 def endless():
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # without the interpreter's lock, and not to be interrupted
 def run(args):
