@@ -4,7 +4,6 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from caster.description.errors import SceneError, diagnostics_of, suggestion
-from caster.description.input_files import read_text
+from caster.description.input_files import FileName, read_text
 from caster.description.parsing import Span, format_excerpt, located_error
 from caster.geometry.mesh_files import MeshFolders
 from caster.scene.model import Scene
@@ -293,13 +292,13 @@ class CourseScene:
 
 
 def load_course_scene(
-    path: str | PathLike[str],
+    path: FileName,
     width: int,
     height: int,
     *,
     shade_back: bool = False,
     shadows: bool = False,
-    mesh_dirs: Iterable[str | PathLike[str]] = (),
+    mesh_dirs: Iterable[FileName] = (),
 ) -> CourseScene:
     """Load a scene file of the course and its meshes, which are found as in scene files of this project.
 

@@ -6,10 +6,10 @@ tests/unit/test_path_arguments.py walks all parsers, so that none is left undecl
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import re
+from argparse import ArgumentTypeError, Namespace, _ActionsContainer
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
@@ -58,7 +58,7 @@ DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 class Adder(NamedTuple):
     """Adds an argument to a parser or a group of it: add(names, type, help, ...); bool is a flag."""
 
-    place: argparse._ActionsContainer
+    place: _ActionsContainer
 
     def __call__(self, names: str, kind: Any, about: str | None = None, **more: Any) -> None:
         usual = {"action": "store_true"} if kind is bool else {"type": kind, "metavar": METAVARS.get(kind)}
@@ -104,14 +104,14 @@ def thread_number(text: str) -> int:
     """Parse a number of threads, or raise argparse's error."""
     number = positive_int(text)
     if number > MAX_THREADS:
-        raise argparse.ArgumentTypeError(f"expected at most {MAX_THREADS} threads, got {text}")
+        raise ArgumentTypeError(f"expected at most {MAX_THREADS} threads, got {text}")
     return number
 
 
 def positive_int(text: str) -> int:
     """Parse an integer >= 1, or raise argparse's error."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
+        raise ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
     return int(text)
 
 
@@ -119,7 +119,7 @@ def engine(text: str) -> str:
     """Parse the name of an engine, or raise argparse's error."""
     if text in ("local", "dask") or re.fullmatch(r"dask:(tcp|tls)://.+:\d+", text):
         return text
-    raise argparse.ArgumentTypeError(f"expected local, dask or dask:tcp://HOST:PORT, got '{text}'")
+    raise ArgumentTypeError(f"expected local, dask or dask:tcp://HOST:PORT, got '{text}'")
 
 
 def comma_separated(text: str | None) -> list[str]:
@@ -145,10 +145,10 @@ def coordinate(text: str) -> int:
         return int(text)
     except ValueError:
         order = "expected SCENE X Y in this order, such as scene.toml 160 120"
-        raise argparse.ArgumentTypeError(f"{order}, with whole numbers; got '{text}'") from None
+        raise ArgumentTypeError(f"{order}, with whole numbers; got '{text}'") from None
 
 
-def load(args: argparse.Namespace) -> Scene:
+def load(args: Namespace) -> Scene:
     """Load the scene of the arguments of `add_scene`, at the film size of --size."""
     from caster.scene.files import load_scene
 
@@ -235,7 +235,7 @@ def output_file_unless_number(text: str) -> str:
 
 
 @contextlib.contextmanager
-def checked_paths(args: argparse.Namespace) -> Iterator[None]:
+def checked_paths(args: Namespace) -> Iterator[None]:
     """Check outputs, and lock output folders for this process while the body runs.
 
     Raises SceneError for an output that is an input, a scene file of an input folder, or another output; OutputError

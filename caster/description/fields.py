@@ -168,13 +168,13 @@ Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]  # a whole number >= 
 Face = Annotated[Any, RowOf(Index, 3, "3 vertex numbers [i, j, k]")]
 Scales = Annotated[Any, RowOf(Positive, 3, "3 lengths [x, y, z]")]
 
-Points = Annotated[NDArray[np.float64], ArrayOf(Vec3)]  # (n, 3) float64
-UVs = Annotated[NDArray[np.float64], ArrayOf(Vec2)]  # (n, 2) float64
+Points = Annotated[transform.Floats, ArrayOf(Vec3)]  # (n, 3) float64
+UVs = Annotated[transform.Floats, ArrayOf(Vec2)]  # (n, 2) float64
 Faces = Annotated[NDArray[np.int64], ArrayOf(Face, np.int64)]  # (m, 3) int64
 Counts = Annotated[NDArray[np.int64], ArrayOf(Count, np.int64)]  # (m,) int64 > 0
-Lengths = Annotated[NDArray[np.float64], ArrayOf(Positive)]  # (n,) float64 > 0
-LengthTriples = Annotated[NDArray[np.float64], ArrayOf(Scales)]  # (n, 3) float64 > 0
-Quaternions = Annotated[NDArray[np.float64], ArrayOf(Row)]  # (n, 4) float64, x, y, z, w
+Lengths = Annotated[transform.Floats, ArrayOf(Positive)]  # (n,) float64 > 0
+LengthTriples = Annotated[transform.Floats, ArrayOf(Scales)]  # (n, 3) float64 > 0
+Quaternions = Annotated[transform.Floats, ArrayOf(Row)]  # (n, 4) float64, x, y, z, w
 
 
 # ---- descriptions ----

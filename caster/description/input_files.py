@@ -5,10 +5,13 @@ import os
 import stat
 from collections.abc import Iterator
 from io import BufferedReader
+from typing import TypeAlias
 
 from caster.description.errors import FileMissing, SceneError
 
-__all__ = ["opened_input", "read_input", "read_text"]
+__all__ = ["FileName", "opened_input", "read_input", "read_text"]
+
+FileName: TypeAlias = str | os.PathLike[str]
 
 SCENE_SUFFIXES = (".toml", ".json")
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
@@ -16,7 +19,7 @@ MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
 MAX_MESH_BYTES = 2**32  # 80 million triangles in binary PLY
 
 
-def read_input(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
+def read_input(path: FileName, what: str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Content of a regular file. `what` and errors as for `opened_input`; SceneError beyond max_bytes."""
     with opened_input(path, what) as file:
         size = os.fstat(file.fileno()).st_size
@@ -26,7 +29,7 @@ def read_input(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_TEX
         return file.read()
 
 
-def read_text(path: str | os.PathLike[str], what: str = "scene file") -> str:
+def read_text(path: FileName, what: str = "scene file") -> str:
     """Text of a UTF-8 file. Raises FileMissing, SceneError."""
     try:
         return read_input(path, what).decode("utf-8-sig")
@@ -37,7 +40,7 @@ def read_text(path: str | os.PathLike[str], what: str = "scene file") -> str:
 
 
 @contextlib.contextmanager
-def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[BufferedReader]:
+def opened_input(path: FileName, what: str) -> Iterator[BufferedReader]:
     """An open regular file. what: what it should be, for messages, such as "scene file".
 
     Raises FileMissing for a missing or unreadable file, also while the body reads it, and for anything that is not a

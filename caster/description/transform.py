@@ -26,7 +26,8 @@ __all__ = [
     "unit",
 ]
 
-Matrix = NDArray[np.float64]
+Floats = NDArray[np.float64]
+Matrix = Floats
 Vector = tuple[float, float, float]
 Real = TypeVar("Real", float, Fraction)
 
@@ -70,7 +71,7 @@ def rotate(axis: Sequence[float], degrees: float) -> Matrix:
     return matrix
 
 
-def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(quaternions: Floats) -> Floats:
     """(n, 3, 3) rotation matrices of quaternions (n, 4) x, y, z, w of any length but 0. Source: Shoemake 1985."""
     x, y, z, w = np.transpose(quaternions / np.abs(quaternions).max(axis=1)[:, None])
     norm = x * x + y * y + z * z + w * w
@@ -79,7 +80,7 @@ def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
         [-w * z - x * y, x * x + z * z, w * x - y * z],
         [w * y - x * z, -w * x - y * z, x * x + y * y],
     ]
-    found: NDArray[np.float64] = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
+    found: Floats = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
     return found
 
 
@@ -114,25 +115,25 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     return total
 
 
-def transform_points(matrix: Matrix, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def transform_points(matrix: Matrix, points: Floats) -> Floats:
     """Points (n, 3) under an affine matrix (4, 4): ((m0 x + m1 y) + m2 z) + m3 for each coordinate."""
     moved = transform_vectors(matrix[:3, :3], points)
     moved += matrix[:3, 3]
     return moved
 
 
-def transform_vectors(linear: Matrix, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def transform_vectors(linear: Matrix, vectors: Floats) -> Floats:
     """Vectors (n, 3) under a matrix (3, 3): (m0 x + m1 y) + m2 z for each coordinate."""
     return product(vectors, linear.T)
 
 
-def dot_rows(vectors: NDArray[np.float64], v: Any) -> NDArray[np.float64]:
+def dot_rows(vectors: Floats, v: Any) -> Floats:
     """(n,): the dot products of vectors (n, 3) with v, (3,) or (n, 3), summed in the order of x, y, z."""
     x, y, z = (vectors * v).T
     return np.asarray(x + y + z)
 
 
-def row_lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def row_lengths(vectors: Floats) -> Floats:
     """(n,): the lengths of vectors (n, 3) whose squares neither overflow nor underflow."""
     return np.sqrt(dot_rows(vectors, vectors))
 

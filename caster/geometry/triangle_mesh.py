@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
+from caster.description.transform import Floats as Floats
 from caster.description.transform import dot_rows, row_lengths
 from caster.kernels.math.angles import eighths_and_rest
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
-from caster.description.input_files import opened_input
+from caster.description.input_files import FileName, opened_input
 from caster.image.exr_validation import (
     UnreadableExr,
     Window,
@@ -63,7 +63,7 @@ class Exr(NamedTuple):
 
 
 def write_exr(
-    path: str | os.PathLike[str],
+    path: FileName,
     channels: Mapping[str, NDArray[Any]],
     provenance: Mapping[str, str] = {},
     *,
@@ -93,7 +93,7 @@ Attribute = tuple[Any, ...]
 
 
 def write_bands(
-    path: str | os.PathLike[str],
+    path: FileName,
     bands: Iterable[Mapping[str, NDArray[Any]]],
     provenance: Mapping[str, str],
     data_window: Window,
@@ -163,7 +163,7 @@ def _tile(planes: Sequence[np.ndarray], corner: tuple[int, int]) -> bytes:
     return chunk if len(chunk) < words.nbytes else words.tobytes()
 
 
-def read_exr(path: str | os.PathLike[str]) -> Exr:
+def read_exr(path: FileName) -> Exr:
     """Read all channels of a file, of all its parts, in the types in which they are stored.
 
     A channel without a layer (`Z`) gets the name of its part (`depth.Z`), unless the part is called `rgba`, `rgb`,

@@ -3,7 +3,6 @@
 import math
 import os
 from collections.abc import Iterable
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from caster.cameras.pinhole import Pinhole
 from caster.description.errors import SceneError
-from caster.description.input_files import MESH_SUFFIXES, SCENE_SUFFIXES, read_text
+from caster.description.input_files import MESH_SUFFIXES, SCENE_SUFFIXES, FileName, read_text
 from caster.description.parsing import model_of_text
 from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MeshFolders
@@ -21,7 +20,7 @@ from caster.shapes.mesh import Mesh
 __all__ = ["load_scene"]
 
 
-def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
+def load_scene(path: FileName, mesh_dirs: Iterable[FileName] = ()) -> Scene:
     """Read a scene file, .toml or .json, and its meshes; or a mesh file as a scene, with a camera that sees all of it.
 
     Meshes are found relative to the scene file, or to one of mesh_dirs; each lies in or below one of these folders.
@@ -45,7 +44,7 @@ MESH_VIEW, MESH_FOV, MESH_MARGIN = (0.4417, 0.3571, 0.8231), 41.3, 1.05
 MESH_LIGHT = (-0.2713, -0.6889, -0.6719)  # the direction of its light
 
 
-def mesh_scene(path: str | PathLike[str]) -> Scene:
+def mesh_scene(path: FileName) -> Scene:
     """A mesh file as a scene: a pinhole camera that sees all of it, a directional and an ambient light.
 
     Raises FileMissing, SceneError for a file that is no usable mesh, and for a mesh without an extent.
@@ -84,8 +83,8 @@ def scene_from_text(
     kind: str = "toml",
     origin: str = "<string>",
     *,
-    folder: str | PathLike[str] = ".",
-    mesh_dirs: Iterable[str | PathLike[str]] = (),
+    folder: FileName = ".",
+    mesh_dirs: Iterable[FileName] = (),
 ) -> Scene:
     """A scene from the text of a scene file. origin: its name in errors; folder: of relative mesh paths."""
     return model_of_text(Scene, text, kind, origin, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Discriminator, Tag
 from caster.description.errors import SceneError, child_of
 from caster.description.fields import ArrayOf, Description, Flag, Reflectance, Shape, Transform, exactly_one, matrix_of
 from caster.description.input_files import read_input
-from caster.description.transform import dot_rows, power
+from caster.description.transform import Floats, dot_rows, power
 from caster.geometry.mesh_files import load_once, readable
 from caster.kernels.surface.texturing import (
     BILINEAR,
@@ -54,7 +54,7 @@ class Picture(Texture):
     to_uv: Transform = ()
 
     @cached_property
-    def uv_matrix(self) -> NDArray[np.float64]:
+    def uv_matrix(self) -> Floats:
         """(2, 3): uv of the texture are its product with (u, v, 1)."""
         return matrix_of(self.to_uv)[:2, [0, 1, 3]]
 
@@ -69,18 +69,18 @@ class Checkerboard(Picture):
     color1: Reflectance = (0.2, 0.2, 0.2)
 
     @cached_property
-    def texels(self) -> NDArray[np.float64]:
+    def texels(self) -> Floats:
         return np.array([[self.color0, self.color1], [self.color1, self.color0]])
 
 
-def _few_enough(texels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _few_enough(texels: Floats) -> Floats:
     if not 0 < texels.size <= 3 * MAX_TEXELS:
         raise ValueError(f"must have 1 to {MAX_TEXELS:,} pixels, got {texels.shape[1]} x {texels.shape[0]}")
     return texels
 
 
 Rows = ArrayOf(list[Reflectance])
-Texels = Annotated[NDArray[np.float64], Rows, AfterValidator(_few_enough)]  # (h, w, 3) float64
+Texels = Annotated[Floats, Rows, AfterValidator(_few_enough)]  # (h, w, 3) float64
 
 
 def read_picture(path: str) -> NDArray[np.uint8]:
@@ -115,7 +115,7 @@ class Bitmap(Picture):
     _has_one_source = exactly_one("file", "data")
 
     @cached_property
-    def texels(self) -> NDArray[np.float64]:
+    def texels(self) -> Floats:
         if self.file is None:
             return np.asarray(self.data)
         picture = load_once(read_picture, self.file)
@@ -135,7 +135,7 @@ class Bitmap(Picture):
         return None
 
 
-Colors = Annotated[NDArray[np.float64], ArrayOf(Reflectance)]  # (n, 3) float64
+Colors = Annotated[Floats, ArrayOf(Reflectance)]  # (n, 3) float64
 
 
 class MeshColors(Texture):
@@ -155,7 +155,7 @@ class MeshColors(Texture):
         given, count = len(getattr(self, name)), len(getattr(mesh(), name))
         return "" if given == count else f"that has {given} colours, and the mesh {count} {name}"
 
-    def rows(self, triangles: Any) -> NDArray[np.float64]:
+    def rows(self, triangles: Any) -> Floats:
         """(ROWS_PER_FACE m, 3): of each face a corner, its colour, and the gradients of red, green and blue."""
         a, b, c = triangles.vertices[triangles.faces].transpose(1, 0, 2)
         u, v = b - a, c - a

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from caster.description.errors import SceneError
+from caster.description.input_files import FileName
 from caster.jit.kernel_cache import distrust, read_sealed, write_sealed
 
 __all__ = [
@@ -32,13 +33,13 @@ class OutputError(SceneError):
     exit_code = 4
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
+def check_writable(path: FileName) -> None:
     """Raise OutputError if no file can be created at this path; to be called before long work."""
     with _os_errors_as_output_errors(target := _resolved_target(path)), _temporary_file(target):
         pass
 
 
-def check_folder(path: str | os.PathLike[str]) -> Path:
+def check_folder(path: FileName) -> Path:
     """Create a folder if it does not exist. Raises OutputError."""
     folder = Path(path)
     with _os_errors_as_output_errors(folder):
@@ -46,18 +47,18 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: FileName, text: str) -> None:
     """Write a UTF-8 text file atomically. Raises OutputError."""
     write_bytes(path, text.encode("utf-8"))
 
 
-def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+def write_bytes(path: FileName, content: bytes) -> None:
     """Write a binary file atomically. Raises OutputError."""
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 
-def append_text(path: str | os.PathLike[str], text: str) -> None:
+def append_text(path: FileName, text: str) -> None:
     """Append to a UTF-8 text file, or create it. Raises OutputError, also for a FIFO or a device."""
     target = _resolved_target(path)
     with _os_errors_as_output_errors(target), target.open("a", encoding="utf-8") as file:
@@ -65,7 +66,7 @@ def append_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: FileName) -> Iterator[Path]:
     """A temporary file beside `path`, renamed to it if the body succeeds and removed if it fails.
 
     An OSError of the body becomes an OutputError. After any exception an existing file of that name is unchanged.
@@ -76,7 +77,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(temporary, target)
 
 
-def _resolved_target(path: str | os.PathLike[str]) -> Path:
+def _resolved_target(path: FileName) -> Path:
     target = Path(os.path.realpath(path))  # so that a link stays a link
     if target.exists() and not target.is_file():
         raise OutputError(f"{target}: expected a file to write, this is a folder or a device")

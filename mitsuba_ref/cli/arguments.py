@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
+from argparse import Action, ArgumentTypeError, Namespace
 from collections.abc import Sequence
 from typing import Any, Self
 
@@ -47,7 +47,7 @@ PRECISIONS = ("float32", "float64")
 def whole(text: str) -> int:
     """Parse a whole number >= 0. Raises argparse.ArgumentTypeError."""
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
+        raise ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
     return int(text)
 
 
@@ -60,7 +60,7 @@ def seconds(text: str) -> float:
     value = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0.0 < value <= MAX_SECONDS:
         most = f"{MAX_SECONDS:,.0f} s"
-        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, at most {most}, got '{text}'")
+        raise ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, at most {most}, got '{text}'")
     return value
 
 
@@ -79,7 +79,7 @@ def numbers(text: str) -> range:
     """Parse numbers of examples: N for the first N, A..B for A to B. Raises argparse.ArgumentTypeError."""
     first, dots, last = text.partition("..")
     if not first.isdecimal() or (dots and not last.isdecimal()) or (dots and int(first) > int(last)):
-        raise argparse.ArgumentTypeError(f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'")
+        raise ArgumentTypeError(f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'")
     return range(int(first), int(last) + 1) if dots else range(int(first))
 
 
@@ -135,14 +135,14 @@ def add_bounces(add: Adder, about: str) -> None:
     add("--bounces", whole, f"{about} (materials mirror and glass; mitsuba-ref docs scene-format)", default=0)
 
 
-class SetVariable(argparse.Action):
+class SetVariable(Action):
     """Stores an option, and sets an environment variable, for this process and its children."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, variable: str, **more: Any) -> None:
         super().__init__(option_strings, dest, **more)
         self.variable = variable
 
-    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+    def __call__(self, parser: Any, namespace: Namespace, values: Any, option: str | None = None) -> None:
         setattr(namespace, self.dest, values or True)
         os.environ[self.variable] = values or "1"
 
@@ -357,7 +357,7 @@ def shard(text: str) -> tuple[int, int]:
     part, slash, parts = text.partition("/")
     if slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts):
         return int(part), int(parts)
-    raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
+    raise ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
 
 
 def add_versions_arguments(add: Adder) -> None:

@@ -1,8 +1,8 @@
 """`mitsuba-ref compare`: two EXR files, or the files of the same names in two folders."""
 
-import argparse
 import json
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from glob import glob
 from pathlib import Path
@@ -19,7 +19,7 @@ from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
 from mitsuba_ref.report.output import plural, print_lines
 
 
-def run_compare(args: argparse.Namespace) -> int:
+def run_compare(args: Namespace) -> int:
     """Print the comparison; 0 pass, 1 differences, 2 unclear, 3 not comparable, 4 missing, 5 nothing to compare."""
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
@@ -37,7 +37,7 @@ def run_compare(args: argparse.Namespace) -> int:
     return result.exit_code
 
 
-def compare_folders(args: argparse.Namespace, tolerances: Tolerances, reading: Reading) -> int:
+def compare_folders(args: Namespace, tolerances: Tolerances, reading: Reading) -> int:
     """Compare every EXR file in the reference's folder and its subfolders.
 
     Returns the highest exit code, but 5 only without another failure.

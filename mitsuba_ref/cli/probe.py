@@ -1,8 +1,8 @@
 """`mitsuba-ref probe`: explain one pixel by every answer at it."""
 
-import argparse
 import json
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 from caster.description.errors import error_prefix
@@ -16,7 +16,7 @@ from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.report.reproducers import write_reproducer
 
 
-def run_probe(args: argparse.Namespace) -> int:
+def run_probe(args: Namespace) -> int:
     """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
     scene = load_scene_or_original(args)
     candidate = requested_candidate(args)  # its errors come before any work
@@ -32,7 +32,7 @@ def run_probe(args: argparse.Namespace) -> int:
     return OK if found.ok else DIFFERENCES
 
 
-def save(args: argparse.Namespace, probed: Crash | ProbeEvidence) -> None:
+def save(args: Namespace, probed: Crash | ProbeEvidence) -> None:
     """Write the reproducer, and report on standard error whether it shows the same."""
     source = f"{shown_path(args.scene)}, pixel ({args.x}, {args.y})"
     if isinstance(probed, Crash):

@@ -10,6 +10,7 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.description.input_files import FileName
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr, read_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
@@ -24,7 +25,6 @@ from mitsuba_ref.report.html_report import refuse_page_of_others
 
 __all__ = ["Reading", "Tolerances", "compare_exr"]
 
-FileName = str | os.PathLike[str]
 Image = FileName | Mapping[str, Array]
 SIDES = ("ours", "the reference")
 SCENE = "caster/scene"  # provenance: the scene's path

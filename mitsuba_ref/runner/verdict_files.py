@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Collection
 from functools import cache
@@ -14,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from caster.cameras import CAMERAS
 from caster.description.errors import FileMissing, SceneError
-from caster.description.input_files import read_input
+from caster.description.input_files import FileName, read_input
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, Verdict
@@ -122,7 +121,7 @@ class UnreadableVerdict(FileMissing):
     """A file exists, but holds no verdict of this version."""
 
 
-def read_verdict(path: str | os.PathLike[str]) -> Verdict:
+def read_verdict(path: FileName) -> Verdict:
     """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
     content = read_input(path, "verdict of `mitsuba-ref validate --json`")
     try:

@@ -10,7 +10,6 @@ import os
 import struct
 from collections.abc import Callable
 from functools import lru_cache
-from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -18,7 +17,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
-from caster.description.input_files import MAX_MESH_BYTES, MESH_SUFFIXES, read_input
+from caster.description.input_files import MAX_MESH_BYTES, MESH_SUFFIXES, FileName, read_input
 from caster.description.transform import compose, is_mirrored, rotations, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_off, parse_ply, parse_ply_spheres
@@ -27,7 +26,7 @@ from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 __all__ = ["load_points"]
 
 
-def load_mesh(path: str | PathLike[str]) -> Mesh:
+def load_mesh(path: FileName) -> Mesh:
     """Read a mesh file: Wavefront OBJ, PLY (ascii or binary), STL, OFF or glTF, by its suffix.
 
     Polygons become fans of triangles around their first corner. Normals have unit length; they are None if the file
@@ -50,7 +49,7 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     return mesh if mesh.normals is None else mesh._replace(normals=normalize_rows(mesh.normals))
 
 
-def load_points(path: str | PathLike[str]) -> tuple[Any, Any]:
+def load_points(path: FileName) -> tuple[Any, Any]:
     """Read the vertices of a PLY file as spheres: centres (n, 3), and radii (n,) if it has the property `radius`.
 
     Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
