@@ -9,6 +9,7 @@ from caster.scene.files import load_scene
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.fuzz.fuzz_run import Example, check_example
 from mitsuba_ref.hard.random_families import RANDOM as FAMILIES
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.report.validation import validate_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # NumPy's scalars warn where machine code does not
@@ -36,5 +37,5 @@ def test_validate_passes(path):
     scene = load_scene(path)
     width, height = FILM
     film = {"width": width, "height": height, **({"crop": (2, 1, 8, 6)} if scene.film.crop else {})}
-    verdict = validate_scene(scene.with_film(**film), path.stem, str(path))
+    verdict = validate_scene(Task(scene.with_film(**film), path.stem, str(path)))
     assert verdict.ok, (verdict.problem, verdict.failing_by, [c for c in verdict.checks if not c.ok])

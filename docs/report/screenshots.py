@@ -18,6 +18,7 @@ from playwright.sync_api import Browser, sync_playwright
 from caster import load_scene
 from caster.rendering.hits import RayHits
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_stored
 from mitsuba_ref.reference.shared_input import pixel_of
@@ -66,7 +67,7 @@ def report_of(folder: Path, *words: str) -> Path:
 
 def report_of_bias(folder: Path) -> Path:
     path = "scenes/one-sphere.toml"
-    verdict = validate_scene(load_scene(path), BIASED, path, send=biased_answer, keep=True)
+    verdict = validate_scene(Task(load_scene(path), BIASED, path, send=biased_answer), keep=True)
     return Validation((with_replay(verdict),)).write_html(folder)
 
 

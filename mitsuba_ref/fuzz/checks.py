@@ -32,6 +32,7 @@ from mitsuba_ref.judge.checks.knife_edges import (
     t_text,
     with_limits,
 )
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
 from mitsuba_ref.reference.mitsuba_process import send_request
@@ -157,7 +158,7 @@ def compare_with_mitsuba(
                 numbers = np.column_stack(rays).astype(np.float32)
             scene, shared = lay_out(scene, checked_rays(numbers, "rays"))
         verdict = validate_scene(
-            scene, "fuzz", subject=subject, rays=shared, timeout=MITSUBA_TIMEOUT_S, send=send_request
+            Task(scene, "fuzz", subject=subject, rays=shared, timeout=MITSUBA_TIMEOUT_S, send=send_request)
         )
     except SCENE_ERRORS:  # numbers beyond float32
         tally.outside += 1

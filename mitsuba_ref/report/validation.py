@@ -13,15 +13,13 @@ from mitsuba_ref.judge.aggregate import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.checks.render import check_render
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
-from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import write_reproducers
 from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, short_text
 from mitsuba_ref.subjects.bounce_films import bounce_films
 from mitsuba_ref.subjects.requests import request_answer
-from mitsuba_ref.subjects.subject import OURS, Subject
+from mitsuba_ref.subjects.subject import OURS
 
 PYTEST_CHARACTERS, WHOLE = 240, " ...; print() shows all"  # to which pytest cuts the repr of a message
 
@@ -49,35 +47,26 @@ class Validation(Verdict):
 
 
 def validate_scene(
-    scene: Scene,
-    name: str,
-    path: str = "",
+    task: Task,
     *,
-    subject: Subject = OURS,
-    rays: SharedRays | None = None,
     first_ray: int = 0,
     folder: Path | None = None,
-    timeout: float = DEFAULT_TIMEOUT,
-    send: SendRequest = send_stored,
     keep: bool = False,
     film: bool = False,
-    thorough: bool = False,
     bounce: int = 0,
 ) -> SceneVerdict:
     """The verdict of a loaded scene; faults of a candidate are in the verdict.
 
-    rays: a list of rays, laid out as the film, in place of the camera's; first_ray: the number of the first one.
-    folder: for the images of both sides. send: the connection to Mitsuba. keep: keep the evidence in the verdict.
-    film: keep the classes and images of the whole film.
-    thorough: make the checks of our caster beyond the film as well.
+    first_ray: the number of the first ray of a list. folder: for the images of both sides. keep: keep the evidence in
+    the verdict. film: keep the classes and images of the whole film.
     bounce: judge the secondary rays of this bounce, in place of the camera's.
     """
     start = time.perf_counter()
-    task = Task(scene, name, path, subject, rays, timeout, send, thorough)
+    scene, name, path = task[:3]
     if bounce:
         secondary = next((film for film in bounce_films(scene, bounce) if film.bounce.number == bounce), None)
         if secondary is None:
-            return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=("no rays are left",))
+            return SceneVerdict(name, path, bounce=bounce, candidate=task.subject.name, notes=("no rays are left",))
         task = task._replace(scene=secondary.scene, rays=secondary.rays, bounce=secondary)
     check_memory(task.windows()[0])
     if task.ours:

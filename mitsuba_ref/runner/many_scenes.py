@@ -21,6 +21,7 @@ from caster.system.atomic_files import OutputError
 from caster.system.cluster import CallEnded
 from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.judge.aggregate import scene_statistics
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
@@ -184,18 +185,20 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
 def judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> SceneVerdict:
     """The verdict of an entry's loaded scene. Raises SceneError for one that cannot be judged, OutputError."""
     verdict = validate_scene(
-        scene,
-        entry.name,
-        entry.path,
-        subject=entry.subject or options.subject or OURS,
-        rays=entry.rays,
+        Task(
+            scene,
+            entry.name,
+            entry.path,
+            entry.subject or options.subject or OURS,
+            entry.rays,
+            timeout=options.timeout,
+            send=send_stored if options.store else send_request,
+            thorough=options.thorough,
+        ),
         first_ray=entry.ray_range[0],
         folder=options.folder,
-        timeout=options.timeout,
-        send=send_stored if options.store else send_request,
         keep=options.page_of is not None,
         film=options.film,
-        thorough=options.thorough,
         bounce=entry.bounce,
     )
     return _completed(verdict, entry, scene, options)

@@ -11,6 +11,7 @@ from mitsuba_scenes import scene_judge
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest, send_request
@@ -28,7 +29,7 @@ def send() -> SendRequest:
 @pytest.fixture(scope="session")
 def judged(send: SendRequest) -> Callable[[Scene], SceneVerdict]:
     """Judge a scene, as `mitsuba_ref.validate` does."""
-    return lambda scene: validate_scene(scene, "scene", send=send)
+    return lambda scene: validate_scene(Task(scene, "scene", send=send))
 
 
 @pytest.fixture(scope="session")

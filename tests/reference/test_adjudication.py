@@ -20,6 +20,7 @@ from caster.scene.model import Scene
 from mitsuba_ref import shapes as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import AGREEING_PIXELS_ADJUDICATED, CLASS_CODE, Judge
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
 from mitsuba_ref.probe.pixel import probe_with_evidence
@@ -90,7 +91,7 @@ MATERIALS = {"a": {"reflectance": (0.9, 0.1, 0.1)}}
 def test_of_coincident_surfaces_either_may_be_the_one(send, shapes):
     scene = lit_scene(*shapes, materials=MATERIALS)
     for missing, verdict in (("a", "tie"), ("b", "agree")):  # ours names a, the first
-        found = validate_scene(scene, "scene", send=without(send, missing))
+        found = validate_scene(Task(scene, "scene", send=without(send, missing)))
         assert found.ok and found.counts[verdict] == found.hit_pixels >= 200, found.counts
         assert found.evidence > 0 == found.excused
 

@@ -55,9 +55,9 @@ def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monk
 @pytest.mark.slow("each judges a film twice", keep=2)
 def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
     small_bands(False)
-    whole = validate_scene(scene(name), name, send=send)
+    whole = validate_scene(Task(scene(name), name, send=send))
     small_bands(True)
-    bands = validate_scene(scene(name), name, send=send)
+    bands = validate_scene(Task(scene(name), name, send=send))
     assert whole.ok and bands.ok, (whole.problem, bands.problem)
     assert (bands.pixels, bands.hit_pixels, bands.counts) == (whole.pixels, whole.hit_pixels, whole.counts)
     assert bands.cases == whole.cases and bands.size == whole.size
@@ -74,7 +74,7 @@ def test_rays_of_every_band_reach_mitsuba_once(small_bands, send):
         return send(request, timeout)
 
     small_bands(True)
-    assert validate_scene(scene("one-sphere"), "one-sphere", send=counting).ok
+    assert validate_scene(Task(scene("one-sphere"), "one-sphere", send=counting)).ok
     assert counts == [BAND] * 6
 
 
@@ -92,7 +92,9 @@ def test_a_fault_in_some_bands_fails_with_all_its_pixels_and_the_evidence_of_one
     found = {}
     for on in (False, True):
         small_bands(on)
-        found[on] = validate_scene(scene("one-sphere"), "s", subject=subject, send=send, keep=True, folder=tmp_path)
+        found[on] = validate_scene(
+            Task(scene("one-sphere"), "s", subject=subject, send=send), keep=True, folder=tmp_path
+        )
     whole, bands = found[False], found[True]
     assert not bands.ok and bands.counts == whole.counts and 0 < bands.counts[WRONG] < bands.counts[AGREE] * 2
     assert bands.failing_by == whole.failing_by and set(bands.worst_by) == set(whole.worst_by)
@@ -113,6 +115,6 @@ def test_a_crash_in_one_band_is_the_problem_of_the_scene(small_bands, send):
         return Crash(-6, "LLVM ERROR", 0.1) if len(calls) == 3 else send(request, timeout)
 
     small_bands(True)
-    found = validate_scene(scene("one-sphere"), "s", send=crashing)
+    found = validate_scene(Task(scene("one-sphere"), "s", send=crashing))
     assert not found.ok and found.problem.startswith("rows 14 to 20: ") and "LLVM ERROR" in found.problem
     assert len(calls) == 3

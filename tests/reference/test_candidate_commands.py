@@ -18,6 +18,7 @@ from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr
 from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.validation import validate_scene
@@ -57,7 +58,7 @@ def small(name: str) -> Scene:
 
 
 def judged(command: str, scene: Scene, seconds: float = 60.0) -> SceneVerdict:
-    return validate_scene(scene, "scene", subject=parse_candidate(command, None, seconds))
+    return validate_scene(Task(scene, "scene", subject=parse_candidate(command, None, seconds)))
 
 
 def judged_program(tmp_path, source: str, scene: Scene, words: str, seconds: float = 60.0) -> SceneVerdict:
@@ -104,7 +105,7 @@ def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(size, lost):
     eye, aim = (-830.0004, -535.0003, 2156 + 3 * size), (-830.0004, -535.0003, 2156)
     camera = caster.Orthographic(eye=eye, look_at=aim, width=3 * size)
     scene = Scene(film=caster.Film(width=24, height=18), camera=camera, shapes=[ball])
-    found = validate_scene(scene, "scene", subject=OwnCamera())
+    found = validate_scene(Task(scene, "scene", subject=OwnCamera()))
     assert found.ok and found.counts[WRONG] == 0, failure_text(found)
     assert (found.counts[OUT_OF_DOMAIN] > 0) is lost
 

@@ -15,6 +15,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import __main__
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe.pixel import probe_candidate
 from mitsuba_ref.probe.verdict import CandidatePixel
@@ -100,7 +101,7 @@ def test_a_normal_that_is_wrong_is_named_with_its_factor(at):
 def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
     """The candidate casts the whole film; otherwise a fault at its seventh hit would not recur."""
     scene = small()
-    verdict = validate_scene(scene, "scene", subject=FunctionSubject(trace.__name__, trace), send=send)
+    verdict = validate_scene(Task(scene, "scene", subject=FunctionSubject(trace.__name__, trace), send=send))
     failure = verdict.failures[0]
     found = at(trace, (failure.x, failure.y), scene)
     assert found.verdict == WRONG and failure.verdict == "wrong"
@@ -141,7 +142,7 @@ def raising(scene, o, d):
 
 def test_no_answer_is_stated_in_the_words_of_validate_and_fails(at, send):
     found = at(raising)
-    told = validate_scene(small(), "scene", subject=FunctionSubject("raising", raising), send=send)
+    told = validate_scene(Task(small(), "scene", subject=FunctionSubject("raising", raising), send=send))
     assert found.problem == told.problem and "raised RuntimeError: no such shape" in found.problem
     assert not found.ok and found.witness.problem == "no answer"
 

@@ -20,6 +20,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.aggregate import NEVER_GIVEN
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, WRONG, SceneVerdict, Verdict
 from mitsuba_ref.report.builtin_scenes import scene_path
 from mitsuba_ref.report.validation import Validation, validate_scene
@@ -43,7 +44,7 @@ def worked(name: str) -> candidates.Trace:
 def judged(trace: candidates.Trace, scene: Scene, precision: str | None = None) -> SceneVerdict:
     """The verdict on a candidate; Mitsuba traces each scene once for all of them."""
     subject = FunctionSubject(trace.__name__, trace, precision)
-    return validate_scene(scene, "scene", "scenes/scene.toml", subject=subject)
+    return validate_scene(Task(scene, "scene", "scenes/scene.toml", subject=subject))
 
 
 # ---- who is right ----
@@ -309,7 +310,7 @@ WILD = [(far_t, "t is off: behind what is hit"), (nonsense, "no answer: the norm
 def test_wild_numbers_are_wrong_in_the_ordinary_way(trace, says, tmp_path):
     """There is no warning, and images are written although 1e308 exceeds what they can hold."""
     candidate, scene = FunctionSubject(trace.__name__, trace), small("one-sphere", 12, 9)
-    found = validate_scene(scene, "wild", "wild.toml", subject=candidate, folder=tmp_path, keep=True)
+    found = validate_scene(Task(scene, "wild", "wild.toml", subject=candidate), folder=tmp_path, keep=True)
     assert not found.problem and found.counts[WRONG] > 20 and says in found.findings[0].what
     assert (read_exr(tmp_path / "wild.verdict.exr").channels["class.I"] == CLASSES.index(WRONG)).any()
     assert np.isfinite(read_exr(tmp_path / "wild.candidate.exr").channels["depth.Z"]).sum() > 20

@@ -11,6 +11,7 @@ from caster.scene.files import load_scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import reason
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
@@ -87,7 +88,7 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
         film=caster.Film(width=32, height=32),
         lights=sun + others if first else others + sun,
     )
-    found = validate_scene(scene, "shadow", keep=True)
+    found = validate_scene(Task(scene, "shadow"), keep=True)
     assert found.ok and found.counts["explained"] > 0, found
     judge, judgement = found.seen.judge, found.seen.judgement
     reasons = {reason(judge, judgement, {}, int(row)) for row in np.flatnonzero(judgement.is_class(EXPLAINED))}

@@ -157,8 +157,9 @@ def test_a_crash_of_mitsuba_is_a_finding(monkeypatch):
 def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
     usual = checks.validate_scene
 
-    def with_a_failure(scene, name, **options):
-        verdict = usual(scene.model_copy(update={"checks": {"depth": {"ratio": 1e-9}}}), name, **options)
+    def with_a_failure(task):
+        strict = task.scene.model_copy(update={"checks": {"depth": {"ratio": 1e-9}}})
+        verdict = usual(task._replace(scene=strict))
         return replace(verdict, checks=())
 
     monkeypatch.setattr(checks, "validate_scene", with_a_failure)

@@ -9,6 +9,7 @@ import pytest
 
 import caster
 from mitsuba_ref.judge.diagnosis import best_threshold, necessary_share
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import Verdict
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, failures_text
@@ -20,7 +21,7 @@ ALL_MISTAKES = [*mistakes.MISTAKES, *mistakes.DEFECTS]
 
 
 def judged(name, trace, scene):
-    return validate_scene(scene, "scene", "", subject=FunctionSubject(name, trace))
+    return validate_scene(Task(scene, "scene", subject=FunctionSubject(name, trace)))
 
 
 @pytest.mark.parametrize("mistake", ALL_MISTAKES, ids=lambda mistake: mistake.name)
@@ -62,7 +63,7 @@ def test_ours_is_diagnosed_by_the_same_engine(monkeypatch):
         return view
 
     monkeypatch.setattr(subject, "cast_ours", moved)
-    found = validate_scene(mistakes.scene_of("one-sphere", Path()), "scene")
+    found = validate_scene(Task(mistakes.scene_of("one-sphere", Path()), "scene"))
     assert hits and "t is 1.005 times what it should be" in found.findings[0].what
 
 
@@ -144,14 +145,14 @@ def none(scene, o, d, hits):
     ],
 )
 def test_wrong_numbers_of_primitives_are_named(change, says):
-    found = validate_scene(mistakes.scene_of("torus-smooth", Path()), "scene", "", subject=Naming("naming", change))
+    found = validate_scene(Task(mistakes.scene_of("torus-smooth", Path()), "scene", subject=Naming("naming", change)))
     assert not found.ok and says in failure_text(found).splitlines()[0], failure_text(found)
 
 
 def test_numbers_that_are_minus_one_at_every_hit_are_not_given():
     scene = mistakes.scene_of("torus-smooth", Path())
     changes = (lambda scene, o, d, hits: (hits.shape_id, hits.prim_id)), none
-    named, unnamed = (validate_scene(scene, "scene", "", subject=Naming("naming", change)) for change in changes)
+    named, unnamed = (validate_scene(Task(scene, "scene", subject=Naming("naming", change))) for change in changes)
     assert named.ok and unnamed.ok
     assert "shape_id" in unnamed.unjudged and "shape_id" not in named.unjudged
 
@@ -162,7 +163,7 @@ def test_one_missing_number_is_a_wrong_one():
         return hits.shape_id, np.where(np.arange(len(o)) == first, -1, hits.prim_id)
 
     scene = mistakes.scene_of("torus-smooth", Path())
-    assert not validate_scene(scene, "scene", "", subject=Naming("naming", one)).ok
+    assert not validate_scene(Task(scene, "scene", subject=Naming("naming", one))).ok
 
 
 def test_a_hypothesis_that_right_pixels_contradict_is_not_reported():

@@ -8,6 +8,7 @@ import pytest
 
 from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
 from caster.rendering.hits import RayHits
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.shared_input import shape_ids, shared_rays
@@ -75,7 +76,7 @@ def judged(name: str, plant: Plant = lambda answer: None, size: tuple[int, int] 
         plant(answer)
         return answer
 
-    return validate_scene(asked, name, f"scenes/{name}.toml", send=send, keep=True)
+    return validate_scene(Task(asked, name, f"scenes/{name}.toml", send=send), keep=True)
 
 
 def judged_candidate(name: str, trace: Trace, asked: Scene) -> SceneVerdict:
@@ -85,7 +86,7 @@ def judged_candidate(name: str, trace: Trace, asked: Scene) -> SceneVerdict:
         return rounded_answer(asked, job)
 
     candidate = function_subject(trace, f"docs.candidates.{name}:trace")
-    return validate_scene(asked, name, f"scenes/{name}.toml", subject=candidate, send=send, keep=True)
+    return validate_scene(Task(asked, name, f"scenes/{name}.toml", subject=candidate, send=send), keep=True)
 
 
 def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:

@@ -13,6 +13,7 @@ from caster.geometry.world_space import as_float32, as_given
 from caster.scene.files import load_scene
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS
 from mitsuba_ref.judge.adjudication import claims_of
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import checked_answer, scene_as_traced
@@ -81,11 +82,11 @@ def test_a_cloud_is_handed_on_whole_and_its_ids_are_those_of_the_scene(to_world,
             return answer_of_numbered_hits(named, request.rays, request.model.packed, None, limits=False)
 
     scene = clouds(to_world)
-    verdict = validate_scene(scene, "clouds", subject=Named())
+    verdict = validate_scene(Task(scene, "clouds", subject=Named()))
     assert verdict.ok, verdict.failures
     assert [shape.type for shape in seen[0].shapes] == types
     if to_world:  # of another sphere of the same cloud
-        assert not validate_scene(scene, "clouds", subject=Named(off=-1)).ok
+        assert not validate_scene(Task(scene, "clouds", subject=Named(off=-1))).ok
 
 
 def test_what_is_no_answer_at_a_pixel_is_noted_by_its_reason():

@@ -24,10 +24,10 @@ def test_an_interrupted_run_has_its_own_verdict_and_spares_what_others_wrote(tmp
     for file in ("verdict.json", "b.ours.exr", "notes.txt"):
         Path("out", file).write_text("of an earlier run")
 
-    def validate(scene, name, path, *, folder, **options):
+    def validate(task, *, folder, **options):
         assert not Path("out/verdict.json").exists()  # while this run goes on
-        (folder / f"{name}.ours.exr").write_text("of this run")
-        return made(name, files=(f"{name}.ours.exr",))
+        (folder / f"{task.name}.ours.exr").write_text("of this run")
+        return made(task.name, files=(f"{task.name}.ours.exr",))
 
     class Bar(ProgressBar):
         def add(self, count, extra=""):

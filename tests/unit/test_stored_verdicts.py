@@ -27,10 +27,10 @@ def judged(tmp_path, monkeypatch):
     for i, name in enumerate("abc"):
         Path(f"scenes/{name}.toml").write_text(BALL.format(1 + i))
 
-    def validate(scene, name, path, *, folder=None, **options):
+    def validate(task, *, folder=None, **options):
         with Path("judged").open("a") as asked:  # by a worker
-            asked.write(f"{name}\n")
-        return replace(made(name), path=path, reproducers=())
+            asked.write(f"{task.name}\n")
+        return replace(made(task.name), path=task.path, reproducers=())
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
 
@@ -101,8 +101,8 @@ def test_whatever_changes_is_another_key(tmp_path, monkeypatch, change):
 def test_an_interrupted_run_goes_on_where_it_ended(judged, monkeypatch):
     judge = many_scenes.validate_scene
 
-    def killed(scene, name, path, **options):
-        return os._exit(1) if name == "b" else judge(scene, name, path, **options)
+    def killed(task, **options):
+        return os._exit(1) if task.name == "b" else judge(task, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(many_scenes, "validate_scene", killed)
@@ -111,7 +111,7 @@ def test_an_interrupted_run_goes_on_where_it_ended(judged, monkeypatch):
 
 
 def test_a_verdict_without_a_comparison_is_not_kept(judged, monkeypatch):
-    monkeypatch.setattr(many_scenes, "validate_scene", lambda scene, name, path, **o: made(name, ok=False, problem="x"))
+    monkeypatch.setattr(many_scenes, "validate_scene", lambda task, **o: made(task.name, ok=False, problem="x"))
     assert main(["validate", "scenes"]) == main(["validate", "scenes", "--json", "v.json"]) == 1
     assert not any(scene["kept"] for scene in json.loads(Path("v.json").read_text())["scenes"])
 

@@ -11,6 +11,7 @@ from places import shipped
 from verdict_factory import scene as made
 
 from caster.system.terminal import folded
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
 from mitsuba_ref.report.output import aligned, print_lines
 from mitsuba_ref.report.validation import validate_scene
@@ -83,7 +84,9 @@ def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):
     scene = shipped("one-sphere", 4, 3)
     away = scene.model_copy(update={"camera": scene.camera.model_copy(update={"look_at": (0.0, 0.0, 99.0)})})
     text = failure_text(
-        validate_scene(away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o)))
+        validate_scene(
+            Task(away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o)))
+        )
     )
     words = " ".join(text.split())
     where = rf"the shapes lie between {POINT} and {POINT}; the ray in the middle starts at {POINT}"

@@ -46,9 +46,9 @@ def test_every_end_is_a_row_and_the_rest_is_judged(tmp_path, monkeypatch, capsys
     for name in ("a", *ENDS, "z"):
         Path(f"scenes/{name}.toml").write_text(SCENE)
 
-    def validate(scene, name, path, **options):
-        ENDS.get(name, (lambda: None,))[0]()
-        return made(name)
+    def validate(task, **options):
+        ENDS.get(task.name, (lambda: None,))[0]()
+        return made(task.name)
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
     monkeypatch.setattr("mitsuba_ref.runner.validation_run.CALL_TIMEOUTS", 1.0 / DEFAULT_TIMEOUT)
