@@ -4,8 +4,6 @@ A candidate that is a Python function may end the process that it runs in, or ne
 supervises it.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

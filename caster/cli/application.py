@@ -1,7 +1,5 @@
 """The command framework of `caster` and `mitsuba-ref`: a registry of commands, loaded when they are used."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import re

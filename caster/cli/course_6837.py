@@ -1,7 +1,5 @@
 """`caster 6837`: scene files, options and images of the course MIT 6.837."""
 
-from __future__ import annotations
-
 import math
 import sys
 from argparse import Namespace

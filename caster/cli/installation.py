@@ -1,7 +1,5 @@
 """`caster doctor`: the packages found on this machine, the use of each missing one, and kernels compiled ahead."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import json

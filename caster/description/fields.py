@@ -259,7 +259,7 @@ class LookAt(Description):
         return self
 
 
-def checked_frame(view: Any, start: str, target: str) -> tuple[transform.Vector, transform.Vector, transform.Vector]:
+def checked_frame(view: Any, start: str, target: str) -> transform.Frame:
     """(right, up, forward) of a description with `up`, and with a direction or a target.
 
     start, target: names of its fields. Raises the error of the field by which the frame is not defined.
@@ -415,7 +415,7 @@ class Camera(Description):
         return self
 
     @cached_property
-    def frame(self) -> tuple[transform.Vector, transform.Vector, transform.Vector]:
+    def frame(self) -> transform.Frame:
         """(right, up, forward), orthonormal float64: right and up in the image, right = forward x up."""
         return checked_frame(self, "eye", "look_at")
 

@@ -29,6 +29,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 Matrix = Floats
 Vector = tuple[float, float, float]
+Frame = tuple[Vector, Vector, Vector]  # right, up, forward
 Real = TypeVar("Real", float, Fraction)
 
 # The computed cross product of two unit vectors is off by at most 2 u per component from its products and
@@ -187,7 +188,7 @@ def _integer_inverse(m: Matrix) -> tuple[list[list[int]], int, int]:
     return cofactors, sum(rows[0][j] * cofactors[j][0] for j in range(3)), scale
 
 
-def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]:
+def frame(forward: Vector, up: Sequence[float]) -> Frame:
     """(right, up, forward), orthonormal: right = forward x up, up = right x forward. forward: of unit length.
 
     Raises ValueError if up is zero, not finite or parallel to forward.

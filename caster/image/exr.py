@@ -1,7 +1,5 @@
 """Reading and writing OpenEXR files of named channels and provenance. The only module that imports OpenEXR."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

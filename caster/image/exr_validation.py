@@ -20,6 +20,7 @@ __all__ = ["PROVENANCE_PREFIX"]
 Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are exclusive."""
 
+Header = Mapping[str, Any]  # attributes of a part by name
 PROVENANCE_PREFIX = "caster/"
 MAX_COORDINATE = (1 << 30) - 1  # of a pixel; the library reads images within it
 MAX_NAME_BYTES = 255  # the library silently drops an attribute with a longer name
@@ -104,7 +105,7 @@ def to_storable(name: str, values: np.ndarray, corner: tuple[int, int]) -> np.nd
 MAIN_PART_NAME = re.compile(r"(.*\.)?(rgba?|beauty|combined|main|part ?\d+|subimage ?\d+)", re.IGNORECASE)
 
 
-def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
+def check_parts(path: Path, headers: Sequence[Header]) -> None:
     """Raise UnreadableExr, naming the parts, unless they are layers of one flat image. headers: of all parts."""
     deep = [part_name(each) for each in headers if "deep" in str(each.get("type"))]
     if deep:
@@ -124,7 +125,7 @@ def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
 BYTES_PER_VALUE = 8  # four in the library's array, and four in its copy
 
 
-def check_memory(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
+def check_memory(path: Path, headers: Sequence[Header]) -> None:
     """Raise UnreadableExr with the numbers for an image that does not fit into the memory that is left."""
     x0, y0, x1, y1 = window_of(headers[0]["dataWindow"])
     count = sum(len(each["channels"]) for each in headers)
@@ -155,7 +156,7 @@ def merged_channel_names(path: Path, parts: Mapping[str, Sequence[str]]) -> dict
     return names
 
 
-def merged_provenance(path: Path, headers: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def merged_provenance(path: Path, headers: Sequence[Header]) -> dict[str, str]:
     """The provenance in the headers of all parts. Raises UnreadableExr where parts contradict each other."""
     whole: dict[str, str] = {}
     for header in headers:
@@ -167,7 +168,7 @@ def merged_provenance(path: Path, headers: Sequence[Mapping[str, Any]]) -> dict[
     return dict(sorted(whole.items()))
 
 
-def part_name(header: Mapping[str, Any]) -> str:
+def part_name(header: Header) -> str:
     return str(header.get("name", ""))
 
 

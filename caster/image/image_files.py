@@ -1,7 +1,5 @@
 """Writing PNG and TGA files."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

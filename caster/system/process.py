@@ -3,8 +3,6 @@
 Ctrl-C, SIGTERM and SIGHUP interrupt a command, which then has GRACE_SECONDS to end; a second one ends it at once.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -13,6 +13,8 @@ from caster.system.atomic_files import OutputError
 from mitsuba_ref.campaign.units import SUBJECT, Result, Unit
 from mitsuba_ref.reference.store import key_of
 
+Row = dict[str, Any]  # of a query, by column
+
 APPLICATION, VERSION = 0x72617963, 1  # in the header of the file
 WAIT_SECONDS = 10.0  # for another process that writes
 RUNNING, COMPLETE, BUDGET, INTERRUPTED = "running", "complete", "budget", "interrupted"  # states of a run
@@ -94,16 +96,16 @@ class History:
             self.database.execute("BEGIN IMMEDIATE")
             yield self.database
 
-    def rows(self, query: str, *values: Any) -> list[dict[str, Any]]:
+    def rows(self, query: str, *values: Any) -> list[Row]:
         """The rows of a query, by column."""
         with self._lock, self._errors():
             return [dict(row) for row in self.database.execute(query, values)]
 
-    def units(self, run: int) -> list[dict[str, Any]]:
+    def units(self, run: int) -> list[Row]:
         """The finished units of a run."""
         return self.rows("SELECT units.* FROM run_units JOIN units USING (key) WHERE run = ? ORDER BY name", run)
 
-    def failures(self, side: str, run: int, *, before: bool = False) -> dict[tuple[str, str], dict[str, Any]]:
+    def failures(self, side: str, run: int, *, before: bool = False) -> dict[tuple[str, str], Row]:
         """Failures of one side by unit and cause: the first of each cause, with the number of all.
 
         before: those of each unit in the last run before this one that finished it.

@@ -5,13 +5,12 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any
 
 from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from caster.system.atomic_files import check_folder, write_text
-from mitsuba_ref.campaign.history import History
+from mitsuba_ref.campaign.history import History, Row
 from mitsuba_ref.campaign.units import REFERENCE, SCENE_PLACE, SUBJECT
 from mitsuba_ref.reference.store import key_of
 from mitsuba_ref.report.output import aligned, plural
@@ -101,12 +100,12 @@ def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
     now = {row["name"] for row in history.units(last)}
     wrong, before = history.failures(SUBJECT, last), history.failures(SUBJECT, last, before=True)
     was_wrong = {place: each for place, each in before.items() if each["name"] in now}
-    cases: dict[str, list[dict[str, Any]]] = {}
+    cases: dict[str, list[Row]] = {}
     for each in history.failures(REFERENCE, last).values():
         cases.setdefault(each["cause"], []).append(each)
     folder = history.path.with_suffix(FOLDER_SUFFIX)
 
-    def reported(each: dict[str, Any]) -> ReportedFailure:
+    def reported(each: Row) -> ReportedFailure:
         replay = each["replay"]
         if each["scene"] and SCENE_PLACE in replay:
             file = folder / f"{key_of([each['key'], each['cause']])[:NAME_DIGITS]}.toml"
@@ -114,7 +113,7 @@ def report_of(history: History) -> tuple[CampaignReport, dict[Path, str]]:
             replay = replay.replace(SCENE_PLACE, str(file))
         return ReportedFailure(each["name"], each["grouped"], each["cause"], each["what"], each["times"], replay)
 
-    def of_case(found: list[dict[str, Any]]) -> ReportedFailure:
+    def of_case(found: list[Row]) -> ReportedFailure:
         smallest = min(found, key=lambda each: (not each["scene"], len(each["scene"]), each["name"]))
         return replace(reported(smallest), times=sum(each["times"] for each in found), units=len(found))
 

@@ -1,7 +1,5 @@
 """The arguments of all commands but init, schema and doctor; their work is in the modules beside this one."""
 
-from __future__ import annotations
-
 import os
 import re
 from argparse import Action, ArgumentTypeError, Namespace

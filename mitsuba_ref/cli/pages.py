@@ -1,7 +1,5 @@
 """`mitsuba-ref docs`: a page of the documentation, in the terminal or of the built site in a browser."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 import webbrowser

@@ -1,7 +1,5 @@
 """`mitsuba-ref init`: a ray caster to begin with, which passes as written, and what judges it."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from argparse import Namespace

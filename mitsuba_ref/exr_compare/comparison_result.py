@@ -4,7 +4,7 @@ import math
 import shlex
 from collections.abc import Iterator
 
-from pydantic import BaseModel, ConfigDict, computed_field
+from pydantic import BaseModel, computed_field
 
 from caster.system.process import DIFFERENCES, NOT_COMPARABLE, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import K
@@ -15,10 +15,8 @@ LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of ea
 LEGEND_OF_SLOPE = ", slope = its change per scene unit there"
 
 
-class Worst(BaseModel):
+class Worst(BaseModel, frozen=True):
     """The pixel of a group with the largest error over bound, in film coordinates."""
-
-    model_config = ConfigDict(frozen=True)
 
     channel: str
     x: int
@@ -30,13 +28,11 @@ class Worst(BaseModel):
     ratio: JsonFloat  # error / bound; inf where the bound is 0 or a value is not finite
 
 
-class GroupResult(BaseModel):
+class GroupResult(BaseModel, frozen=True):
     """One quantity. agree counts pixels hit in both images; differ and non_finite all (misses hold values).
 
     Pixels that only one image hits count under `hit` alone, unless a value of theirs is not finite.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     channels: tuple[str, ...]
@@ -47,7 +43,7 @@ class GroupResult(BaseModel):
     worst: Worst | None
 
 
-class FileComparison(BaseModel):
+class FileComparison(BaseModel, frozen=True):
     """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 4 missing, 5 nothing hit in either image.
 
     ours, reference: file names, or names of what was compared. hit_*: pixel counts; hit_channel: the channel that shows
@@ -56,8 +52,6 @@ class FileComparison(BaseModel):
     reasons: why nothing was compared. scene: its file, if known. html: the folder of a
     page, if written. measures: (what, value), for information.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     ours: str
     reference: str

@@ -24,7 +24,7 @@ from mitsuba_ref.judge.explanations import (
 from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, UNDECIDED, UNLISTED, WRONG
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.verdict import CandidatePixel, PathRay, PixelVerdict
+from mitsuba_ref.probe.verdict import CandidatePixel, Json, PathRay, PixelVerdict
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, as_witness, witness_answers
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -174,11 +174,11 @@ def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> I
 # ---- parts of the verdict
 
 
-def _ray(rays: SharedRays) -> dict[str, Any]:
+def _ray(rays: SharedRays) -> Json:
     return {name: _numbers(getattr(rays, name)[0]) for name in ("o", "d", "t_max", "start")}
 
 
-def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
+def _exact(judge: Judge, answer: ExactAnswer | None) -> Json:
     """The exact answer for JSON; empty if there is no ray or no answer."""
     if answer is None:
         return {}
@@ -188,7 +188,7 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
     return {"hit": answer.hit, "t": answer.distance, "ties": ties, "text": format_exact(scene, packed, answer)}
 
 
-def _answer(scene: Scene, aovs: Aovs, t: Array, row: int = 0) -> dict[str, Any]:
+def _answer(scene: Scene, aovs: Aovs, t: Array, row: int = 0) -> Json:
     """One side's answer for JSON; a candidate may name no shape."""
     hit = bool(aovs.hit.ravel()[row])
     shape = int(aov_rows(aovs, "shape_id")[row]) if "shape_id" in aovs else -1

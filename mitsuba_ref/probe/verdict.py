@@ -10,6 +10,8 @@ from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.judge.verdict import AGREE, FAILING, UNLISTED, json_number
 from mitsuba_ref.probe.witnesses import WIDEST_NAME, WitnessAnswer, witness_lines
 
+Json = dict[str, Any]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Explained:
@@ -50,10 +52,10 @@ class PixelVerdict(Explained):
 
     x: int
     y: int
-    ray: dict[str, Any]
-    ours: dict[str, Any] = field(default_factory=dict)
-    reference: dict[str, Any] = field(default_factory=dict)
-    exact: dict[str, Any] = field(default_factory=dict)
+    ray: Json
+    ours: Json = field(default_factory=dict)
+    reference: Json = field(default_factory=dict)
+    exact: Json = field(default_factory=dict)
     ratios: dict[str, float] = field(default_factory=dict)  # error over bound, of what was judged
     versions: dict[str, str] = field(default_factory=dict)
     witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
@@ -69,7 +71,7 @@ class PixelVerdict(Explained):
         """Whether our answer, Mitsuba's and the candidate's, if there is one, are explained."""
         return super().ok and all(each.ok for each in (self.candidate, *(self.path or ())) if each is not None)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Json:
         """For JSON; infinite numbers become text."""
         return dict(_json_value(self))
 

@@ -24,6 +24,7 @@ from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.shapes import kind_of
+from mitsuba_ref.shapes.shape_reference import Fields
 
 # ---- answers, checked for form before anything is compared ----
 
@@ -75,7 +76,7 @@ class Answer:
 
     def rows(self, rows: Array | slice) -> "Answer":
         """Some rows, without images."""
-        some: dict[str, Any] = {name: a[rows] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
+        some: Fields = {name: a[rows] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
         return replace(self, **some, broken=broken, images=None)
 
@@ -173,10 +174,8 @@ def exception_text(error: BaseException) -> str:
 
 # ---- the scene as both sides trace it: float32 values, meshes in world space ----
 
-PrimitiveDescription = dict[str, Any]
 
-
-def describe_surface(part: Any, k: int) -> PrimitiveDescription:
+def describe_surface(part: Any, k: int) -> Fields:
     """A description of the same surface, not bit by bit. Raises LookupError for a kind without descriptions."""
     kind = kind_of(part)
     return (kind.describe_surface or kind.describe)(part, k)
@@ -190,7 +189,7 @@ def packs_identically(part: Any, k: int, packed: Packed) -> bool:
     return bool(describe(packed.parts[0], 0) == describe(part, k))
 
 
-def kept_fields(shape: Shape) -> PrimitiveDescription:
+def kept_fields(shape: Shape) -> Fields:
     """Fields that apply to each primitive of a shape, whatever it is described as."""
     return {name: value for name in ("flip_normals", "material") if (value := getattr(shape, name, None))}
 
@@ -204,7 +203,7 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     description, each becomes a shape, so that numbers of primitives through the scene stay as they are.
     """
     check_folder(folder / "meshes")
-    shapes: list[dict[str, Any]] = []
+    shapes: list[Fields] = []
     for i, (shape, name, part) in enumerate(zip(scene.shapes, scene.shape_names(), packed.parts, strict=True)):
         named = {"name": name, **kept_fields(shape)}
         path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
