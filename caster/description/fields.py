@@ -286,10 +286,8 @@ _for_all = BeforeValidator(
 Factors = Annotated[Vec3, _for_all]  # 3 numbers, or one for all
 
 
-class Step(Description):
+class Step(Description, json_schema_extra={"minProperties": 1, "maxProperties": 1}):
     """One transform step; exactly one key is set."""
-
-    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
     translate: Vec3 | None = None
     rotate: Rotation | None = None

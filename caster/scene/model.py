@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    ConfigDict,
     Field,
     PrivateAttr,
     ValidationInfo,
@@ -112,10 +111,9 @@ class Diffuse(Description):
         return (0.0, 0.0, 0.0) if isinstance(self.reflectance, Texture) else self.reflectance
 
 
-class Specular(Description):
+class Specular(Description, json_schema_extra={"required": ["type"]}):
     """A surface that reflects or refracts every ray in one direction, and so has no diffuse light: it is black."""
 
-    model_config = ConfigDict(json_schema_extra={"required": ["type"]})
     color: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
     texture: ClassVar[None] = None
     two_sided: ClassVar[bool] = False

@@ -22,7 +22,7 @@ from caster.description.errors import SceneError
 from caster.system.atomic_files import ScratchFolder
 from caster.system.process import interrupted
 
-__all__ = ["CallEnded", "Cluster", "Outcome"]
+__all__ = ["CallEnded", "Calls", "Cluster", "Outcome"]
 
 DASK = "dask"  # the engine; "dask:ADDRESS" is a cluster that runs there
 # Of a call whose worker ends: the first end may have had a reason outside of it, such as too little memory. A cluster
@@ -35,6 +35,9 @@ CONNECT_SECONDS = 20.0  # for a scheduler to answer, and to answer again
 POLL_SECONDS = 0.5  # between looks at interruptions and at the connection
 LOOPBACK = "127.0.0.1"
 INSTALL = "pip install 'ray-reference[cluster]'"
+
+
+Calls = Iterable[tuple[Any, ...]]  # the arguments of each
 
 
 class ClusterError(SceneError):
@@ -191,11 +194,7 @@ class Cluster:
             raise ClusterError(f"--engine {self.engine}: expected one worker a machine, got {', '.join(crowded)}")
 
     def map(
-        self,
-        function: Callable[..., Any],
-        calls: Iterable[tuple[Any, ...]],
-        seconds: float | None = None,
-        waiting: int = WAITING_RESULTS,
+        self, function: Callable[..., Any], calls: Calls, seconds: float | None = None, waiting: int = WAITING_RESULTS
     ) -> Generator[Outcome, None, None]:
         """function(*args) for each of the calls; outcomes in their order. The function is imported by the workers.
 

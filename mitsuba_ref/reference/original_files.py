@@ -10,8 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from caster.cli.shared_arguments import check_film_size
-from caster.description.errors import FileMissing, SceneError
+from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.description.fields import Shape
 from caster.description.input_files import read_input
 from caster.description.transform import cross, inverse, is_mirrored, product, row_lengths, unit
@@ -68,7 +67,8 @@ def open_scene(
     """
     read_input(path, "Mitsuba scene file")  # raises FileMissing
     if size is not None:
-        check_film_size("--size", *size)
+        with error_prefix("--size", *size):
+            Film(width=size[0], height=size[1])
     folders = tuple(str(Path(folder).absolute()) for folder in mesh_dirs)
     parameters, sensor, strict = opening
     variant = variants.variant_for(has_quadrics=False)

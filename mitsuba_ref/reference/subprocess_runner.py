@@ -115,7 +115,7 @@ def allow_subprocesses() -> None:
     _starts_refused.clear()
 
 
-def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] | None = None) -> ProcessEnd:
+def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] = {}) -> ProcessEnd:
     """Run a command to its end, or kill it after `timeout` seconds. environment: added to that of this process.
 
     Raises OSError where the command cannot be started.
@@ -155,9 +155,7 @@ def _length(head: bytes) -> int:
 class ResidentProcess:
     """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured. Close it."""
 
-    def __init__(
-        self, command: Sequence[str], environment: Mapping[str, str] | None = None, cwd: str | None = None
-    ) -> None:
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str] = {}, cwd: str | None = None) -> None:
         """Raises OSError, ProcessEnded where it cannot be started."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         try:
@@ -296,7 +294,7 @@ def captured(output: IO[bytes]) -> str:
 def _start(
     command: Sequence[str],
     output: IO[bytes],
-    environment: Mapping[str, str] | None,
+    environment: Mapping[str, str],
     *,
     cwd: str | None = None,
     pipes: bool = False,
@@ -311,7 +309,7 @@ def _start(
         child = subprocess.Popen(
             command,
             cwd=cwd,
-            env={**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())},
+            env={**os.environ, **environment, PARENT_VARIABLE: str(os.getpid())},
             stdin=subprocess.PIPE if pipes else subprocess.DEVNULL,
             stdout=subprocess.PIPE if pipes else output,
             stderr=output,

@@ -44,8 +44,7 @@ def libllvm() -> str:
 
 def largest(values: Array) -> float | None:
     """The largest finite value; None if there is none."""
-    finite = [value for value in values.tolist() if math.isfinite(value)]
-    return max(finite, default=None)
+    return max(filter(math.isfinite, values.tolist()), default=None)
 
 
 # ---- text ----

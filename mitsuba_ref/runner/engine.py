@@ -6,7 +6,7 @@ Results are the same on every engine, since a call depends on its arguments alon
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from typing import Any
 
 from caster.rendering.threads import core_count
 from caster.system import process
-from caster.system.cluster import Cluster, Outcome
+from caster.system.cluster import Calls, Cluster, Outcome
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import LIBRARIES, PROCESSOR, machine
@@ -37,10 +37,7 @@ class Engine:
     processors: frozenset[str] = frozenset()  # of the machines that ran calls
 
     def map(
-        self,
-        function: Callable[..., Any],
-        calls: Iterable[tuple[Any, ...]],
-        then: Callable[[Any], Any] = lambda result: result,
+        self, function: Callable[..., Any], calls: Calls, then: Callable[[Any], Any] = lambda result: result
     ) -> Generator[Outcome, None, None]:
         """function(*args) for each of the calls, several at a time; outcomes in their order.
 
@@ -110,7 +107,7 @@ def outcomes_of(
     name: str,
     workers: int | None,
     function: Callable[..., Any],
-    calls: Iterable[tuple[Any, ...]],
+    calls: Calls,
     then: Callable[[Any], Any] = lambda result: result,
     *,
     forks: bool = True,

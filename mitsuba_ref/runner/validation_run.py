@@ -3,7 +3,7 @@
 import json
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -30,41 +30,32 @@ from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 VERDICT = "verdict.json"  # in the folder of --out
 
 
+@dataclass
 class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far.
 
     A scene that cannot be loaded, judged or written has a verdict with the problem, and its exception is in `errors`.
     """
 
-    def __init__(
-        self,
-        entries: Sequence[SceneEntry],
-        judge: JudgeOptions,
-        out: Path | None = None,
-        html: str | None = None,
-        *,
-        workers: int | None = None,
-        engine: str = LOCAL,
-        maxfail: int | None = None,
-        shard: tuple[int, int] | None = None,
-        expected: "ExpectedFailures | None" = None,
-        skip_unsupported: bool = False,
-        min_scenes: int = 0,
-    ) -> None:
-        """entries: the scenes of all shards; shard: part I of N, which is judged.
+    all_entries: Sequence[SceneEntry]  # the scenes of all shards
+    judge: JudgeOptions
+    out: Path | None = None  # the folder of the images of both sides
+    html: str | None = None  # that of the HTML report
+    _: KW_ONLY
+    workers: int | None = None  # scenes at a time; None: one for each core
+    engine: str = LOCAL
+    maxfail: int | None = None  # failing scenes after which the run ends
+    shard: tuple[int, int] | None = None  # part I of N, which is judged
+    expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
+    skip_unsupported: bool = False  # nor does it by scenes that the candidate declines
+    min_scenes: int = 0  # that have to be judged for the run to pass
 
-        out, html: folders of the images of both sides and of the HTML report.
-        workers: scenes at a time; None: one for each core. maxfail: failing scenes after which the run ends.
-        expected: known failures, by which the run does not fail; skip_unsupported: nor by scenes that the candidate
-        declines. min_scenes: that have to be judged for the run to pass. Raises OutputError.
-        """
-        self.entries = entries[shard[0] - 1 :: shard[1]] if shard else entries
-        self.candidate_name = judge.subject.name if judge.subject else ""
-        self.html = HtmlReport(html, len(self.entries), self.candidate_name) if html else None
-        self.judge, self.out = judge._replace(folder=out, page_of=page_record if self.html else None), out
-        self.workers, self.engine, self.maxfail = workers or core_count(), engine, maxfail
-        self.expected, self.skip_unsupported, self.min_scenes = expected, skip_unsupported, min_scenes
-        self.all_entries, self.shard = entries, shard
+    def __post_init__(self) -> None:
+        """Raises OutputError."""
+        self.entries = self.all_entries[self.shard[0] - 1 :: self.shard[1]] if self.shard else self.all_entries
+        self.candidate_name = self.judge.subject.name if self.judge.subject else ""
+        self.report = HtmlReport(self.html, len(self.entries), self.candidate_name) if self.html else None
+        self.judge = self.judge._replace(folder=self.out, page_of=page_record if self.html else None)
         self.done: list[SceneVerdict] = []
         self.processors = frozenset[str]()  # of the machines that judged
         self.errors: list[Exception] = []
@@ -74,7 +65,8 @@ class ValidationRun:
         """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
         self.checks = run_checks(self.judge.subject)
         # A thread for each core: more would wait for each other, a twentieth of the time.
-        threads = None if self.candidate_name else max(1, core_count() // max(1, min(self.workers, len(self.entries))))
+        workers = min(self.workers or core_count(), len(self.entries))
+        threads = None if self.candidate_name else max(1, core_count() // max(1, workers))
         judge = self.judge._replace(threads=threads if self.engine == LOCAL else 1)
         ours = judge.subject is None and all(entry.subject is None for entry in self.entries)
         seconds = CALL_TIMEOUTS * max(judge.timeout, DEFAULT_TIMEOUT)
@@ -91,8 +83,8 @@ class ValidationRun:
                         verdict = with_replay(SceneVerdict(entry.name, entry.path, problem=problem_of(error)))
                     self.done.append(verdict)
                     self.processors = engine.processors
-                    if self.html:
-                        self.html.add(verdict)
+                    if self.report:
+                        self.report.add(verdict)
                     with bar.aside():
                         yield verdict
                     bar.add(1, f"{len(self.done)} of {len(self.entries)} scenes")
@@ -101,7 +93,7 @@ class ValidationRun:
 
     def _recorded(self, found: SceneVerdict) -> SceneVerdict:
         """The verdict with its page written and, if it is waived, with the reason."""
-        verdict = self.html.keep(found) if self.html else found
+        verdict = self.report.keep(found) if self.report else found
         if verdict.unsupported and self.skip_unsupported:
             return replace(verdict, waived=UNSUPPORTED)
         return replace(verdict, waived=EXPECTED) if self.expected and self.expected.covers(verdict) else verdict
@@ -128,8 +120,8 @@ class ValidationRun:
             if self.out:
                 write_text(self.out / VERDICT, json_text(verdict))
         finally:
-            if self.html:
-                self.html.write()
+            if self.report:
+                self.report.write()
 
 
 # ---- known failures ----

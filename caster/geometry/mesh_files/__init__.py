@@ -58,6 +58,7 @@ def load_points(path: FileName) -> tuple[Any, Any]:
 
 
 Loaded = TypeVar("Loaded")
+Reader = Callable[[str], Any]  # of a file by its path
 
 
 def load_once(load: Callable[[str], Loaded], path: str) -> Loaded:
@@ -70,11 +71,11 @@ def load_once(load: Callable[[str], Loaded], path: str) -> Loaded:
 
 
 @lru_cache(maxsize=16)
-def _loaded(load: Callable[[str], Any], path: str, changed: int, size: int) -> Any:
+def _loaded(load: Reader, path: str, changed: int, size: int) -> Any:
     return load(path)
 
 
-def readable(load: Callable[[str], Any]) -> AfterValidator:
+def readable(load: Reader) -> AfterValidator:
     """For a field that is the path of a file, if any: resolves it where there are folders to be in; `load` reads it."""
 
     def resolved(file: str | None, info: Any) -> str | None:
@@ -89,7 +90,7 @@ class MeshFolders(NamedTuple):
     folder: Path
     mesh_dirs: tuple[Path, ...] = ()
 
-    def resolve(self, file: str, load: Callable[[str], Any]) -> str:
+    def resolve(self, file: str, load: Reader) -> str:
         """The absolute path of a file that `load` can read, links resolved; the error of the field if there is none."""
         if "\0" in file:
             raise field_error(f"must have no NUL character, got {format_value(file)}")
