@@ -150,8 +150,7 @@ def _sections(text: str) -> dict[str, Block]:
     for block in _parse_block(tokens, "", START).blocks:
         name = "Camera" if block.kind.endswith("Camera") else block.kind
         if name in sections and sections[name].kind:
-            first = sections[name].at.line
-            raise CourseError(block.at, f"{block.kind} occurs twice; the first is in line {first}")
+            raise CourseError(block.at, f"{block.kind} occurs twice; the first is in line {sections[name].at.line}")
         sections[name] = block
     for name, needed in (("Camera", "PerspectiveCamera or OrthographicCamera"), ("Group", "Group")):
         if name not in sections:
@@ -246,8 +245,9 @@ def _add_objects(draft: Draft, block: Block, outer: list[Data]) -> None:
         elif item.name == "MaterialIndex":
             draft.material = f"material-{item.numbers[0]:g}"
             if draft.material not in draft.data["material"]:
-                count = len(draft.data["material"])
-                raise CourseError(item.at, f"{item}: the scene has {count} materials, counted from 0")
+                raise CourseError(
+                    item.at, f"{item}: the scene has {len(draft.data['material'])} materials, counted from 0"
+                )
 
 
 def _step(name: str, numbers: list[float]) -> Data:

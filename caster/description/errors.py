@@ -211,8 +211,7 @@ def _message_of(finding: Any, path: DataPath, data: Any, model: Model) -> str:
         if got is None:
             text = f"needs the key 'type': {join_words(known)}"
         else:
-            hint = suggestion(str(got), known)
-            text = f"unknown {noun} type {format_value(got)}{hint} (known: {', '.join(known)})"
+            text = f"unknown {noun} type {format_value(got)}{suggestion(str(got), known)} (known: {', '.join(known)})"
     else:
         text = _text(kind, finding["input"], finding.get("ctx", {}))
     return value_message(path, text, data, model)
@@ -226,8 +225,7 @@ def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
         return str(ctx["error"])
     if kind == "literal_error":
         words = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
-        expected = join_words(map(format_value, words))
-        return f"must be {expected}, got {format_value(got)}{suggestion(str(got), words)}"
+        return f"must be {join_words(map(format_value, words))}, got {format_value(got)}{suggestion(str(got), words)}"
     if kind in LIMIT_SIGNS:
         (limit,) = ctx.values()
         return f"must be {LIMIT_SIGNS[kind]} {format_value(limit)}, got {format_value(got)}"

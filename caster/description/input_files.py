@@ -24,8 +24,9 @@ def read_input(path: FileName, what: str, max_bytes: int = MAX_TEXT_BYTES) -> by
     with opened_input(path, what) as file:
         size = os.fstat(file.fileno()).st_size
         if size > max_bytes:
-            expected = f"expected at most {max_bytes:,} bytes, got {size:,}"
-            raise SceneError(f"{os.fspath(path)}: this {what} is too large: {expected}")
+            raise SceneError(
+                f"{os.fspath(path)}: this {what} is too large: expected at most {max_bytes:,} bytes, got {size:,}"
+            )
         return file.read()
 
 

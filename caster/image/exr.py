@@ -205,9 +205,8 @@ def _headers(path: Path) -> list[Any]:
     with opened_input(path, "EXR image") as file:
         start = file.read(4)
     if start != struct.pack("<I", MAGIC):
-        text = start.decode("latin-1").strip()
-        got = f"got a file that starts with '{text}'" if start else "the file is empty (0 bytes)"
-        raise UnreadableExr(f"{path}: expected an EXR image, {got}")
+        begins = f"got a file that starts with '{start.decode('latin-1').strip()}'"
+        raise UnreadableExr(f"{path}: expected an EXR image, {begins if start else 'the file is empty (0 bytes)'}")
     headers = [part.header for part in _decode(path, header_only=True)]
     check_parts(path, headers)
     return headers
@@ -217,8 +216,7 @@ def _decode(path: Path, *, header_only: bool = False) -> list[Any]:
     """Decode the parts of a file. Raises UnreadableExr if none is left, as the library drops damaged ones."""
     import OpenEXR
 
-    size = path.stat().st_size
-    damaged = UnreadableExr(f"{path}: a damaged or truncated EXR ({size} bytes); write it again")
+    damaged = UnreadableExr(f"{path}: a damaged or truncated EXR ({path.stat().st_size} bytes); write it again")
     try:
         with _library_output_suppressed():
             file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)

@@ -57,8 +57,7 @@ def seconds(text: str) -> float:
     match = re.fullmatch(r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([smh]?)", text)
     value = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0.0 < value <= MAX_SECONDS:
-        most = f"{MAX_SECONDS:,.0f} s"
-        raise ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, at most {most}, got '{text}'")
+        raise ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, at most {MAX_SECONDS:,.0f} s, got '{text}'")
     return value
 
 

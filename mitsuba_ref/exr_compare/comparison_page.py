@@ -104,8 +104,9 @@ def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers
     """Write index.html and its data, without loss. Raises OutputError, and SceneError for too large images."""
     count = result.width * result.height
     if count > MAX_PIXELS:
-        size = f"{result.width} x {result.height}"
-        raise SceneError(f"--html: {size} pixels, and a page shows at most {MAX_PIXELS}; compare a crop")
+        raise SceneError(
+            f"--html: {result.width} x {result.height} pixels, and a page shows at most {MAX_PIXELS}; compare a crop"
+        )
     about: dict[str, Any] = {
         "window": pair.reference.data_window,
         "layers": {name: layer.ours.shape[-1] for name, layer in layers.items()},

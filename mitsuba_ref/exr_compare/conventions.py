@@ -141,8 +141,9 @@ def mapped(options: Iterable[str], names: Iterable[str]) -> dict[str, str]:
         channels = [n for layer in LAYERS.values() for n in layer]
         ours = LAYERS.get(key) or tuple(n for n in channels if n == key)
         if not ours:
-            hint = suggestion(key, [*LAYERS, *channels])
-            raise SceneError(f"--map {option!r}: unknown{hint}; known are {', '.join(LAYERS)}")
+            raise SceneError(
+                f"--map {option!r}: unknown{suggestion(key, [*LAYERS, *channels])}; known are {', '.join(LAYERS)}"
+            )
         found |= next((zip(ours, theirs, strict=True) for n, theirs in _layers(names, len(ours)) if n == value), ())
     return found
 

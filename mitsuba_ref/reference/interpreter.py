@@ -100,8 +100,9 @@ def installation_of(python: str) -> Installation:
             raise SceneError(f"cannot import Mitsuba and NumPy: {found['problem']} ({way_out})")
         mitsuba = found["versions"]["mitsuba"]
         if _numbers(mitsuba) < _numbers(LEAST_MITSUBA):
-            expected = f"expected {LEAST_MITSUBA} or later, which has robust intersections"
-            raise SceneError(f"has Mitsuba {mitsuba}; {expected}")
+            raise SceneError(
+                f"has Mitsuba {mitsuba}; expected {LEAST_MITSUBA} or later, which has robust intersections"
+            )
     libraries = [path for folder in found["folders"] for path in sorted(Path(folder).rglob("*"))]
     stamps = [file_stamp(path) for path in libraries if path.suffix in BINARIES]
     build = hashlib.sha256("\n".join(stamps).encode()).hexdigest()

@@ -171,8 +171,7 @@ def failing_scenes(scenes: Sequence[SceneVerdict]) -> list[SceneVerdict]:
 def outcome_text(verdict: Verdict) -> str:
     """How many scenes pass, fail, are waived and were not judged."""
     passed, left = sum(scene.ok for scene in verdict.scenes), verdict.scene_count - len(verdict.scenes)
-    scenes = plural(verdict.scene_count, "scene")
-    words = [f"{scenes}: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
+    words = [f"{plural(verdict.scene_count, 'scene')}: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
     words += [f"{count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items()]
     return ", ".join([*words, f"{left} not judged"] if left else words)
 
@@ -222,8 +221,7 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
     held = f", held to the bounds of {' and '.join(precisions)}" if precisions else ""
     yield f"candidate:  {verdict.candidate}{held}"
     for check in verdict.checks:
-        mark = "note:" if check.ok else "FAIL"
-        yield f"{mark:<11} {check.name}: {check.what}"
+        yield f"{'note:' if check.ok else 'FAIL':<11} {check.name}: {check.what}"
     names = dict.fromkeys(name for scene in verdict.scenes for name in scene.unjudged)
     if names:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
@@ -319,7 +317,6 @@ def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
         words = ", ".join(f"{kind} {sum(fails[kind])} of {len(fails[kind])}" for kind in order)
         yield f"by shape:   scenes that fail: {words}"
     if first := simplest_failing(scenes):
-        count = first.composition.primitives
-        size = f"{plural(count, 'primitive')}, {first.pixels} pixels"
+        size = f"{plural(first.composition.primitives, 'primitive')}, {first.pixels} pixels"
         yield f"look first: {first.name}, the simplest of them ({size})"
         yield f"            {first.failures[0].replay if first.failures else first.replay}"

@@ -157,8 +157,7 @@ def _row(change: QuantityChange) -> tuple[str, ...]:
 def summary_text(run: VersionComparison) -> str:
     """How many scenes changed, how many pass with each version, and where only one passes."""
     scenes = run.scenes
-    changed = sum(bool(scene.changes) for scene in scenes)
-    lines = [f"{plural(len(scenes), 'scene')}: {changed} differ in bits"]
+    lines = [f"{plural(len(scenes), 'scene')}: {sum(bool(scene.changes) for scene in scenes)} differ in bits"]
     for i, name in enumerate(NAMES):
         about = ", ".join(f"{key} {value}" for key, value in run.versions[i].items())
         lines.append(f"{name}: {sum(scene.verdicts[i].ok for scene in scenes)} pass; {about}")

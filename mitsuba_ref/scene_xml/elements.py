@@ -163,6 +163,5 @@ def safe_name(name: str) -> str:
 
 def matrix_element(center: np.ndarray, linear: np.ndarray) -> XmlElement:
     transform = Element("transform", name="to_world")
-    rows = np.column_stack([linear, center])
-    SubElement(transform, "matrix", value=f"{format_floats(rows.ravel())} 0 0 0 1")
+    SubElement(transform, "matrix", value=f"{format_floats(np.column_stack([linear, center]).ravel())} 0 0 0 1")
     return transform

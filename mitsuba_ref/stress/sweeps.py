@@ -166,8 +166,7 @@ class Scorer:
         self.hit = np.ones(count, bool)
         self.hit[self.rows] = self.exact.hit
         if ready.family.closed and not self.hit.all():
-            ray = int(np.argmin(self.hit))
-            raise AssertionError(f"ray {ray} leaves a closed mesh from inside by exact arithmetic")
+            raise AssertionError(f"ray {int(np.argmin(self.hit))} leaves a closed mesh from inside by exact arithmetic")
         unit = ready.family.unit
         self.unit = np.abs(self.exact.t) if unit is None else unit / np.linalg.norm(self.exact.d, axis=1)
 

@@ -48,8 +48,9 @@ def parse_obj(data: bytes, where: str) -> Mesh:
                 spelled.append(known[word])
             sizes.append(len(words) - 1)
         elif keyword not in WITHOUT_TRIANGLES:
-            expected = "expected an OBJ statement (v, vt, vn, f, ...)"
-            raise SceneError(f"{where}:{line}: {expected}, got {quote_bytes(keyword)}")
+            raise SceneError(
+                f"{where}:{line}: expected an OBJ statement (v, vt, vn, f, ...), got {quote_bytes(keyword)}"
+            )
     indices = [_read_corner(word, rows, f"{where}:{line}") for word, line in zip(known, first_lines, strict=True)]
     triangles = np.array(spelled, np.int64)[triangle_fans(np.array(sizes, np.int64))]
     v, vt, vn = (np.array(each, np.float64).reshape(-1, 2 if key == b"vt" else 3) for key, each in rows.items())
@@ -98,8 +99,9 @@ def _read_corner(word: bytes, rows: dict[bytes, list[list[float]]], place: str) 
         try:
             index = int(text)
         except ValueError:
-            expected = f"expected a whole number as {name} of a corner"
-            raise SceneError(f"{place}: {expected}, got {quote_bytes(text)}") from None
+            raise SceneError(
+                f"{place}: expected a whole number as {name} of a corner, got {quote_bytes(text)}"
+            ) from None
         if index == 0 or not -count <= index <= count:
             limits = f"1 to {count} or -{count} to -1" if count else f"none, as there is no {name}"
             raise SceneError(f"{place}: {name} of a corner must be {limits}, got {quote_bytes(text)}")

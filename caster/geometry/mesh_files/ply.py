@@ -156,8 +156,7 @@ class _Body:
         """The tables of all elements, which end where the file does. Raises SceneError."""
         tables = {element.name: self._read(element) for element in elements}
         if self.at < len(self.data):
-            unread = len(self.data) - self.at
-            more = f"{len(self.lines) - self.row} more rows" if self.lines else f"{unread} more bytes"
+            more = f"{len(self.lines) - self.row} more rows" if self.lines else f"{len(self.data) - self.at} more bytes"
             raise SceneError(f"{self._place()}: expected the end of the file after the last element, got {more}")
         return tables
 
@@ -223,8 +222,9 @@ class _Body:
         return row
 
     def _error(self, text: str) -> SceneError:
-        row = f"row {self.row - self.first} of element '{self.element.name}'"
-        return SceneError(f"{self._place()}: {row}: expected {text}")
+        return SceneError(
+            f"{self._place()}: row {self.row - self.first} of element '{self.element.name}': expected {text}"
+        )
 
     def _place(self) -> str:
         return f"{self.where}:{self.lines[self.row]}" if self.row < len(self.lines) else self.where
@@ -307,8 +307,9 @@ def _faces(face: Table, count: int) -> NDArray[np.int32]:
         raise face.error(row, f"face {row} needs at least 3 vertices, got {sizes[row]}")
     for bad in np.flatnonzero(~((values >= 0) & (values < count) & (values == np.floor(values))))[:1]:
         row = int(np.searchsorted(np.cumsum(sizes), bad, side="right"))
-        limits = f"vertices 0 to {count - 1} (the file has {count})"
-        raise face.error(row, f"face {row} must join {limits}, got {values[bad]:g}")
+        raise face.error(
+            row, f"face {row} must join vertices 0 to {count - 1} (the file has {count}), got {values[bad]:g}"
+        )
     return values.astype(np.int32)[triangle_fans(sizes)]
 
 
