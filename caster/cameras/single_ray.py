@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from caster.description.errors import expectation_error
 from caster.description.fields import Description, Positive, SignedVec3
 from caster.jit.decorators import implement
-from caster.kernels.protocol import camera_ray
+from caster.kernels.protocol import Vec3, camera_ray
 
 __all__ = ["Ray"]
 
@@ -21,8 +21,8 @@ MAX_DIRECTION_EXPONENT = 100
 class SingleRay(NamedTuple):
     """Parameters of the ray camera for kernels."""
 
-    o: tuple[float, float, float]  # float64
-    d: tuple[float, float, float]  # float64, of any length
+    o: Vec3  # float64
+    d: Vec3  # float64, of any length
     t_max: float
 
 
@@ -50,12 +50,12 @@ class Ray(Description):
         return direction
 
     @property
-    def eye(self) -> tuple[float, float, float]:
+    def eye(self) -> Vec3:
         """The origin, under the name that other cameras use."""
         return self.origin
 
     @property
-    def up(self) -> tuple[float, float, float]:
+    def up(self) -> Vec3:
         """The coordinate axis most perpendicular to the ray."""
         least = min(range(3), key=lambda axis: abs(self.direction[axis]))
         x, y, z = (float(axis == least) for axis in range(3))

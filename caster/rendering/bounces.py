@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.description.transform import dot_rows, row_lengths
+from caster.description.transform import Floats, dot_rows, row_lengths
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
@@ -35,10 +35,10 @@ NORMAL_ERROR = 2.0**-24
 class SecondaryRays(NamedTuple):
     """Rays o + t d with t_min < t <= t_max that start at hits of other rays; all numbers are float32 values."""
 
-    o: NDArray[np.float64]  # (n, 3), beside the surface, on the side that d leads to
-    d: NDArray[np.float64]  # (n, 3), of length 1 up to rounding
-    t_min: NDArray[np.float64]  # (n,), 0: o is off the surface
-    t_max: NDArray[np.float64]  # (n,), inf; the distance of a point light
+    o: Floats  # (n, 3), beside the surface, on the side that d leads to
+    d: Floats  # (n, 3), of length 1 up to rounding
+    t_min: Floats  # (n,), 0: o is off the surface
+    t_max: Floats  # (n,), inf; the distance of a point light
     parent: NDArray[np.int64]  # (n,), index of the ray that it comes from, among those of the bounce before
     kind: NDArray[np.uint8]  # (n,), index into RAY_KINDS
     pixel: NDArray[np.int64]  # (n,), index of the camera ray that it comes from

@@ -184,7 +184,7 @@ def tiles_in_order(caster: TileCaster, rays: Rays, threads: int | None) -> RayTi
     count = len(rays.t_min)
     workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
     tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
-    return RayTiles(caster, even_pieces(0, count, tiles), partial(numbers_between, LANES))
+    return RayTiles(caster, even_pieces(count, tiles), partial(numbers_between, LANES))
 
 
 def numbers_between(multiple: int, ends: Piece) -> np.ndarray:

@@ -55,12 +55,12 @@ def parallel_for(work: Callable[[int, int], None], count: int, threads: int | No
     least = max(least, 1)
     workers = max(1, min(thread_count(threads), count // least))
     pieces = min(workers * CHUNKS_PER_THREAD, count if workers > 1 else -(-count // least))
-    parallel_for_pieces(lambda: lambda band: work(*band), even_pieces(0, count, pieces), workers)
+    parallel_for_pieces(lambda: lambda band: work(*band), even_pieces(count, pieces), workers)
 
 
-def even_pieces(first: int, stop: int, count: int) -> list[tuple[int, int]]:
-    """Divide first..stop into `count` pieces (start, stop), whose lengths differ by at most 1."""
-    return list(pairwise(first + (stop - first) * i // max(count, 1) for i in range(count + 1)))
+def even_pieces(stop: int, count: int) -> list[tuple[int, int]]:
+    """Divide 0..stop into `count` pieces (start, stop), whose lengths differ by at most 1."""
+    return list(pairwise(stop * i // max(count, 1) for i in range(count + 1)))
 
 
 def parallel_for_pieces(

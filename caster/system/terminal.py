@@ -132,11 +132,11 @@ DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
 class StatusLine:
     """One line at the bottom of a terminal, redrawn in place and erased at the end; nothing without a terminal.
 
-    stream: default standard error; output to a closed standard error is dropped.
+    Output to a closed standard error is dropped.
     """
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self.stream = unfiltered(stream or sys.stderr or io.StringIO())
+    def __init__(self) -> None:
+        self.stream = unfiltered(sys.stderr or io.StringIO())
         self.live = self.stream.isatty() and os.environ.get("TERM") not in DUMB_TERMINALS
         self._display: Live | None = None
 
@@ -236,7 +236,7 @@ class ProgressBar:
 
 
 @contextlib.contextmanager
-def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
+def compilation_reported() -> Iterator[None]:
     """Report once that the body compiles kernels, in this process or in its forks; nothing if all are cached.
 
     stream: default standard error, as it is when the line is written.
@@ -251,7 +251,7 @@ def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
             return
         written[0] = 1
         report_stage("compiling kernels")
-        line = StatusLine(stream)
+        line = StatusLine()
         with contextlib.suppress(OSError):  # standard error may be closed
             text = "compiling kernels, once, in 10 to 40 s; `caster doctor --warm` does it ahead"
             print(f"{ERASE_LINE if line.live else ''}{text}", file=line.stream, flush=True)

@@ -186,7 +186,7 @@ DENORMAL_AND_TINY = (-0.0, 0.0, 5e-324, -5e-324, 1e-310, -2.3e-308, 1e-200, 1e-3
 
 
 @np.errstate(all="ignore")
-def aimed_rays(targets: Targets, count: int, aims: Sequence[Aim] = ALL_AIMS) -> Rays:
+def aimed_rays(targets: Targets, count: int, aims: Sequence[Aim]) -> Rays:
     """`count` rays, each by one of the aims; some perturbed or unusual; all finite, none without a direction."""
     rng = targets.rng
     which = rng.integers(len(aims), size=count)

@@ -179,9 +179,7 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
 _RGB, _VISIBLE = "light_rgb %d", "light_visible %d"  # of one light
 
 
-def _values(
-    scene: Any, emitters: list[Any] | None, pi: Any, si: Any, active: Any, leaving: Any = None
-) -> dict[str, Any]:
+def _values(scene: Any, emitters: list[Any] | None, pi: Any, si: Any, active: Any, leaving: Any) -> dict[str, Any]:
     """Values at one hit, or at those of all rays, of which the `active` ones hit something.
 
     emitters: None where no light is wanted. leaving: direction of a ray from there, if it is wanted.

@@ -122,9 +122,7 @@ def pack_one(shape: Fields) -> Packed:
 MAX_REPRODUCERS_PER_CASE = 2  # per scene and case; each is verified with Mitsuba
 
 
-def write_reproducers(
-    folder: Path, name: str, source: str, seen: Seen, first_ray: int = 0
-) -> tuple[tuple[str, ...], int]:
+def write_reproducers(folder: Path, name: str, source: str, seen: Seen, first_ray: int) -> tuple[tuple[str, ...], int]:
     """Write failing rays as scene files: of our caster, or of the answers to a list of rays. Raises OutputError.
 
     NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, NAME.knife-edge.K.toml for wrong aimed rays, and

@@ -87,7 +87,7 @@ def _outcome_of(function: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
 
 
 @contextlib.contextmanager
-def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True) -> Iterator[Engine]:
+def opened(name: str, workers: int | None, seconds: float, *, forks: bool) -> Iterator[Engine]:
     """The engine that the value of --engine names. Raises ClusterError.
 
     workers: calls at a time on this machine; None: one a core. seconds: time limit of a call. forks: False for calls

@@ -158,7 +158,7 @@ class OriginSweep(Sweep):
         yield from dict.fromkeys(absent)
 
 
-def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spawn: Rule | None = None) -> OriginSweep:
+def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spawn: Rule | None) -> OriginSweep:
     """Sweep a family. spawn: a candidate's rule, judged in place of ours. folder: for the parents of wrong rays."""
     start, named = time.perf_counter(), {CANDIDATE: spawn} if spawn else {}
     rules: dict[str, Rule | str | None] = {**named, OURS: None, **{name: name for name in (MITSUBA, *RULES)}}

@@ -64,7 +64,7 @@ class PreparedSetting(PreparedScene):
     x: float
 
 
-def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None) -> PreparedSetting:
+def prepare_setting(family: Family, seed: int, x: float, rays: int | None) -> PreparedSetting:
     """A setting of a family."""
     made, rng = family.at(seed, x)
     scene, count = made.scene(), rays or (DEFAULT_CLOSED_RAYS if family.closed else DEFAULT_RAYS)

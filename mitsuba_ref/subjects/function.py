@@ -35,7 +35,7 @@ MAX_TRACEBACK_FRAMES = 4
 _one_at_a_time = threading.Lock()
 
 
-def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
+def import_function(text: str, precision: str | None) -> "FunctionSubject":
     """The candidate MODULE:NAME. Raises SceneError."""
     return function_subject(imported(text), text, precision)
 
