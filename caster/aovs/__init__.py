@@ -106,8 +106,7 @@ def _depth(hit: Hit) -> float:
 
 def _field(name: str, parts: str, preview: str, evaluate: Callable[[Any], Any]) -> Aov:
     """The AOV of a field of the same name, with a channel for each of its parts, and 0 on a miss."""
-    channels = tuple(f"{name}.{part}" for part in parts)
-    return Aov(name, channels, np.float64, 0.0, (name,), preview, evaluate)
+    return Aov(name, tuple(f"{name}.{part}" for part in parts), np.float64, 0.0, (name,), preview, evaluate)
 
 
 for each in (

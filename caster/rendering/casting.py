@@ -29,8 +29,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     trees = culling != "brute-force"
     tiles = fan_tiles(packed, rays, threads) if trees else None
     if tiles is None:
-        caster = TileCaster(packed, any_hit=False, uses_tree=trees_of(culling))
-        tiles = tiles_in_order(caster, rays, threads)
+        tiles = tiles_in_order(TileCaster(packed, any_hit=False, uses_tree=trees_of(culling)), rays, threads)
     nearest, uncertain = cast_tiles(packed, rays, tiles, threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):

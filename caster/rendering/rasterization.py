@@ -72,8 +72,7 @@ def parallel_for_tiles(
 
     workers = thread_count(threads)
     number = min(len(rows), max(workers * PIECES_PER_THREAD, -(-len(rows) // MAX_TILES_PER_PIECE)))
-    pieces = even_pieces(len(rows), number)
-    parallel_for_pieces(begin_pieces, pieces, workers, done if on_progress else None)
+    parallel_for_pieces(begin_pieces, even_pieces(len(rows), number), workers, done if on_progress else None)
 
 
 def bin_kinds(

@@ -83,8 +83,7 @@ class TileCaster:
                 self._others.append((kind, base, tree))
         if light is not None and self._kinds:
             center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
-            extent = max(kind.extent for kind, _ in self._kinds)
-            self.fans = fans_to(light, center, extent)
+            self.fans = fans_to(light, center, max(kind.extent for kind, _ in self._kinds))
         self._bounds: dict[tuple[int, int], FanBounds] = {}
         self._lock = threading.Lock()
 

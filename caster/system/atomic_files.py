@@ -1,12 +1,12 @@
 """Atomic file writes and temporary folders."""
 
-import contextlib
 import errno
 import os
 import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from caster.description.errors import SceneError
@@ -65,7 +65,7 @@ def append_text(path: FileName, text: str) -> None:
         file.write(text)
 
 
-@contextlib.contextmanager
+@contextmanager
 def atomic_write(path: FileName) -> Iterator[Path]:
     """A temporary file beside `path`, renamed to it if the body succeeds and removed if it fails.
 
@@ -84,7 +84,7 @@ def _resolved_target(path: FileName) -> Path:
     return target
 
 
-@contextlib.contextmanager
+@contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
     """An empty file beside the target, with permissions by the umask; removed at the end."""
     temporary = target.parent / f".{secrets.token_hex(8)}.part"
@@ -122,7 +122,7 @@ def remove_temporaries() -> None:
             path.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
+@contextmanager
 def _os_errors_as_output_errors(target: Path) -> Iterator[None]:
     try:
         yield

@@ -5,7 +5,6 @@ Loaded for `--engine dask` alone. The cluster is started here, on loopback, or i
 
 from __future__ import annotations
 
-import contextlib
 import faulthandler
 import logging
 import os
@@ -16,6 +15,7 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
@@ -98,7 +98,7 @@ class _Call(NamedTuple):
 _NOWHERE = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)  # for the traceback: workers have the terminal of the run
 
 
-@contextlib.contextmanager
+@contextmanager
 def _sigint_ignored() -> Iterator[None]:
     """Processes that the body starts inherit that they ignore SIGINT; only the main thread may change signals."""
     if threading.current_thread() is not threading.main_thread():
@@ -116,7 +116,7 @@ def _closed(cluster: Any) -> None:
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         if interrupted.is_set() and nanny.pid:
-            with contextlib.suppress(ProcessLookupError):
+            with suppress(ProcessLookupError):
                 os.kill(nanny.pid, signal.SIGKILL)
     cluster.close(timeout=CLOSE_SECONDS)
 
@@ -141,7 +141,7 @@ class Cluster:
         address = engine.removeprefix(DASK).removeprefix(":")
         if address.startswith("tls:") and not dask.config.get("distributed.comm.tls.ca-file", None):
             raise ClusterError(f"--engine {engine}: expected Dask's settings of TLS, such as a ca-file; there are none")
-        self._stack = contextlib.ExitStack()
+        self._stack = ExitStack()
         # A worker gets no call beyond the one that it runs, so that none is suspected of what another one did.
         settings = {
             "distributed.scheduler.allowed-failures": TRIES - 1,
@@ -184,7 +184,7 @@ class Cluster:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(Exception):  # of a cluster that is lost already
+        with suppress(Exception):  # of a cluster that is lost already
             self._stack.close()
 
     def check_one_worker_a_machine(self) -> None:
@@ -216,7 +216,7 @@ class Cluster:
             while sent:
                 yield from self._finished(sent, found)
         finally:
-            with contextlib.suppress(Exception):
+            with suppress(Exception):
                 self.client.cancel([*sent], force=True)
 
     def _finished(self, sent: deque[Any], found: dict[Any, Outcome]) -> Iterator[Outcome]:

@@ -3,7 +3,6 @@
 Ctrl-C, SIGTERM and SIGHUP interrupt a command, which then has GRACE_SECONDS to end; a second one ends it at once.
 """
 
-import contextlib
 import io
 import os
 import signal
@@ -12,6 +11,7 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 from caster.description.errors import SceneError
@@ -109,7 +109,7 @@ def report_error(text: str, code: int) -> int:
 
 def _discard_output(code: int) -> int:
     """Discard buffered output, which the interpreter would otherwise try to write at exit."""
-    with contextlib.suppress(OSError):
+    with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -125,7 +125,7 @@ interrupted = threading.Event()  # set from the first signal to the end of the c
 forced_exit_actions: list[Callable[[], None]] = [remove_temporaries]
 
 
-@contextlib.contextmanager
+@contextmanager
 def handled_signals() -> Iterator[None]:
     """Raise KeyboardInterrupt at the first signal; end the process at the second, or after GRACE_SECONDS.
 
@@ -149,7 +149,7 @@ def handled_signals() -> Iterator[None]:
 
 def _interrupt(number: int, frame: Any) -> None:
     if interrupted.is_set():
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             os.write(2, b"interrupted: ended at once, without waiting for running work\n")
         end_process()
     interrupted.set()
@@ -167,7 +167,7 @@ def end_process() -> NoReturn:
 
 def _clean_up() -> None:
     for action in forced_exit_actions:
-        with contextlib.suppress(Exception):
+        with suppress(Exception):
             action()
 
 

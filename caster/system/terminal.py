@@ -6,7 +6,6 @@ are being compiled. rich is imported when something is drawn, so that short comm
 
 from __future__ import annotations
 
-import contextlib
 import io
 import mmap
 import os
@@ -14,6 +13,7 @@ import re
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from textwrap import wrap
 from time import monotonic
@@ -93,7 +93,7 @@ class PrintableStream:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.unfiltered, name)
 
-    @contextlib.contextmanager
+    @contextmanager
     def _named_errors(self) -> Iterator[None]:
         try:
             yield
@@ -106,7 +106,7 @@ def unfiltered(stream: TextIO) -> TextIO:
     return cast(TextIO, getattr(stream, "unfiltered", stream))
 
 
-@contextlib.contextmanager
+@contextmanager
 def printable_streams() -> Iterator[None]:
     """Replace standard output and standard error while the body runs."""
     before = sys.stdout, sys.stderr
@@ -221,7 +221,7 @@ class ProgressBar:
             with _drawing:
                 self._draw()
 
-    @contextlib.contextmanager
+    @contextmanager
     def aside(self) -> Iterator[None]:
         """Erase the bar while the body prints; the next `add` draws it again."""
         with _drawing:
@@ -235,11 +235,11 @@ class ProgressBar:
             self.line.erase()
 
 
-@contextlib.contextmanager
+@contextmanager
 def compilation_reported() -> Iterator[None]:
     """Report once that the body compiles kernels, in this process or in its forks; nothing if all are cached.
 
-    stream: default standard error, as it is when the line is written.
+    The line goes to standard error, as that is when the line is written.
     """
     from caster.jit.decorators import COMPILATION_LOG
 
@@ -252,7 +252,7 @@ def compilation_reported() -> Iterator[None]:
         written[0] = 1
         report_stage("compiling kernels")
         line = StatusLine()
-        with contextlib.suppress(OSError):  # standard error may be closed
+        with suppress(OSError):  # standard error may be closed
             text = "compiling kernels, once, in 10 to 40 s; `caster doctor --warm` does it ahead"
             print(f"{ERASE_LINE if line.live else ''}{text}", file=line.stream, flush=True)
         report_refused_cache()

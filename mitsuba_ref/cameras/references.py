@@ -147,8 +147,7 @@ def ray_rays(camera: Ray, film: Film, x: Array, y: Array) -> Rays:
     """The same ray at every film position."""
     count = len(x)
     o, d = (np.tile(np.array(v, np.float64), (count, 1)) for v in (camera.origin, camera.direction))
-    t_max = np.inf if camera.t_max is None else camera.t_max
-    return Rays(o, d, np.zeros(count), np.full(count, t_max))
+    return Rays(o, d, np.zeros(count), np.full(count, np.inf if camera.t_max is None else camera.t_max))
 
 
 def random_ray(rng: Rng, size: float, view: RandomView) -> Fields:

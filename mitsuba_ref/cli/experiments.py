@@ -107,8 +107,7 @@ def run_stress(args: Namespace) -> int:
     if args.spawn:
         spawn_rule(args.spawn)  # its errors come before any work
     done, line = list[SweepResult | OriginSweep](), StatusLine()
-    words = options.candidate_words(args)
-    about = args.seed, args.rays, args.out, candidate, words, args.spawn
+    about = args.seed, args.rays, args.out, candidate, options.candidate_words(args), args.spawn
     calls = ((family.name, family.values, *about) for family in families)
     here = args.engine == LOCAL and (candidate or args.spawn)  # it runs in this process, alone
     workers = 1 if here else args.workers

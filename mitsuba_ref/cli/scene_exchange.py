@@ -63,8 +63,7 @@ def run_import(args: Namespace) -> int:
     else:
         found = from_course(args)
     target = Path(args.output).resolve()
-    beside = target.with_suffix("")
-    folder, scene = target.parent, with_files(found.scene, beside)
+    folder, scene = target.parent, with_files(found.scene, target.with_suffix(""))
     head = [f"{Path(args.file).name}, by `mitsuba-ref import`.", *found.left_out]
     comment = "".join(f"# {printable(line, keep='')}\n" for line in head)
     write_text(args.output, comment + to_toml(scene, folder))

@@ -68,8 +68,7 @@ class Shrinker:
         scene = scene_of(scene_data(self.case))
         x0, y0, x1, y1 = scene.film.window
         if (x1 - x0) * (y1 - y0) == 1:
-            rays = camera_rays(scene)
-            return self.accepts(case_of(self.case, Rays(*rays)))
+            return self.accepts(case_of(self.case, Rays(*camera_rays(scene))))
         x, y = (x0 + x1) // 2, (y0 + y1) // 2
         halves = ([x0, y0, x, y1], [x, y0, x1, y1]) if x > x0 else ([x0, y0, x1, y], [x0, y, x1, y1])
         return any(self.accepts({**self.case, "film": {**film, "crop": half}}) for half in halves)

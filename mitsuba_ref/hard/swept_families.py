@@ -113,8 +113,7 @@ def icosphere(rng: Rng, center: Array, radius: float) -> Fields:
 
 
 def scaled(shape: Round, rng: Rng, scale: float) -> HardScene:
-    center = scale * near_origin(rng)
-    return seen_from(EYE_DISTANCE * scale, shape(rng, center, scale))
+    return seen_from(EYE_DISTANCE * scale, shape(rng, scale * near_origin(rng), scale))
 
 
 def offset(shape: Round, rng: Rng, away: float) -> HardScene:
@@ -192,8 +191,7 @@ def along_cylinder(rng: Rng, angle: float) -> HardScene:
         return part.center[0] + start @ matrix, unit(lean @ matrix)
 
     axis = perpendicular(rng, np.array([[0.3, 0.5, 0.8]]))[0] * (LENGTH_TIMES_ANGLE / angle)
-    shape = {"type": "cylinder", "p0": -0.5 * axis, "p1": 0.5 * axis, "radius": 1.0}
-    return balanced(draw, shape)
+    return balanced(draw, {"type": "cylinder", "p0": -0.5 * axis, "p1": 0.5 * axis, "radius": 1.0})
 
 
 def stretched_sphere(rng: Rng, condition: float) -> HardScene:

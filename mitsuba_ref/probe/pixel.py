@@ -61,8 +61,7 @@ def probe_with_evidence(
     Raises SceneError for a pixel outside the film.
     """
     asked_for, scene = scene, scene.with_pixel(x, y)
-    whole = stand_in_rays(asked_for)
-    judge = judge_of(request_answer(OURS, scene, whole=whole), timeout=timeout)
+    judge = judge_of(request_answer(OURS, scene, whole=stand_in_rays(asked_for)), timeout=timeout)
     if isinstance(judge, Crash):
         crash = PixelVerdict(x=x, y=y, verdict=UNDECIDED, ray=_ray(shared_rays(scene)), problem=judge.message)
         return crash, judge

@@ -171,8 +171,7 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
 def _hits_others(scene: MitsubaScene) -> Array:
     """(n,) bool: rays that hit a shape in Mitsuba which is not judged."""
     rays = shared_rays(scene)
-    model = model_of(scene, rays)
-    found = trace_reference(scene, model, rays, lights=False, send=send_stored)
+    found = trace_reference(scene, model_of(scene, rays), rays, lights=False, send=send_stored)
     if isinstance(found, Crash):
         raise SceneError(found.message)
     return found.hit & (found.shape_id < 0)

@@ -155,9 +155,8 @@ def render_reference(
     """
     check_names(aovs)
     rays = shared_rays(scene)
-    model = model_of(scene, rays)
     lights = not {"diffuse", "albedo"}.isdisjoint(aovs)
-    result = trace_reference(scene, model, rays, variant=variant, lights=lights, timeout=timeout)
+    result = trace_reference(scene, model_of(scene, rays), rays, variant=variant, lights=lights, timeout=timeout)
     if isinstance(result, Crash):
         raise MitsubaError(result.message)
     window = film_window(scene)

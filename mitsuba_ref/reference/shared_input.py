@@ -206,8 +206,7 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
         root.append(sensor)
     root.extend([*map(light_element, scene.lights), *shapes])
     indent(root, "    ")
-    text = tostring(root, encoding="unicode") + "\n"
-    return SceneExport(text, out.meshes, out.notes)
+    return SceneExport(tostring(root, encoding="unicode") + "\n", out.meshes, out.notes)
 
 
 def shape_ids(scene: Scene) -> list[str]:

@@ -4,7 +4,6 @@ It holds Mitsuba's responses (mitsuba_process.py), verdicts of scenes (runner/ve
 (variants.py). Files are checked when they are read; a damaged one counts as missing.
 """
 
-import contextlib
 import hashlib
 import importlib.metadata
 import os
@@ -12,6 +11,7 @@ import platform
 import random
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -46,7 +46,7 @@ class StoreFolder:
             os.utime(path)  # used
             return content
         except (OSError, ValueError):  # missing, another user's, or damaged
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 path.unlink()
             return None
 
@@ -63,7 +63,7 @@ class StoreFolder:
 
     def refusal(self) -> str:
         """Why the folder is not used, such as that other users may write it; "" if it is."""
-        with contextlib.suppress(FileNotFoundError):
+        with suppress(FileNotFoundError):
             return distrust(self.folder.stat())
         return ""
 
@@ -74,9 +74,9 @@ class StoreFolder:
 
     def _files(self) -> Iterator[tuple[int, int, Path]]:
         """(time of the last use, bytes, path) of each file, in any order."""
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             for path in self.folder.glob(f"*{SUFFIX}"):
-                with contextlib.suppress(OSError):  # another process removes it
+                with suppress(OSError):  # another process removes it
                     found = path.stat()
                     yield found.st_mtime_ns, found.st_size, path
 
@@ -86,7 +86,7 @@ class StoreFolder:
         for _, size, path in files:
             if excess <= 0:
                 return
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 path.unlink()
                 excess -= size
 

@@ -9,7 +9,6 @@ to a file: a pipe that nobody empties would block the writer. On Linux, a child 
 with its parent, even if the parent was killed itself.
 """
 
-import contextlib
 import os
 import re
 import select
@@ -19,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -229,7 +229,7 @@ class ResidentProcess:
         _kill_and_reap(self.process)
         for pipe in (self.process.stdin, self.process.stdout):
             assert pipe is not None
-            with contextlib.suppress(OSError):  # a request that was never read
+            with suppress(OSError):  # a request that was never read
                 pipe.close()
         self._output.close()
 
@@ -321,11 +321,11 @@ def _start(
 
 def _kill_and_reap(child: subprocess.Popen[bytes]) -> None:
     kill_group(child.pid)
-    with contextlib.suppress(subprocess.TimeoutExpired):
+    with suppress(subprocess.TimeoutExpired):
         child.wait(REAP_SECONDS)
     _running.discard(child.pid)
 
 
 def kill_group(group: int) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone; macOS calls that a PermissionError
+    with suppress(ProcessLookupError, PermissionError):  # gone; macOS calls that a PermissionError
         os.killpg(group, signal.SIGKILL)

@@ -177,8 +177,7 @@ def write_reproducer(path: Path, judge: Judge, judgement: Judgement, row: int, s
     same, words = reproduces(alone, judge, judgement, row)
     verdict = CLASSES[int(judgement.classes[row])]
     what = f"{verdict}, {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else verdict
-    head = reproducer_header(judge, judgement, row, what, source)
-    write_scene(path, alone, [*head, words, *notes])
+    write_scene(path, alone, [*reproducer_header(judge, judgement, row, what, source), words, *notes])
     return same
 
 

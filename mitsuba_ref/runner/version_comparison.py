@@ -94,8 +94,7 @@ def compare_scene(pythons: Sequence[str], task: Task) -> SceneComparison:
         with chosen(python):
             verdicts.append(judge_film(task, collect))
         films.append({name: np.concatenate([each[name] for each in windows]) for name in (windows or [{}])[0]})
-    answered = not any(verdict.problem for verdict in verdicts)
-    changes = tuple(_changes(task.scene, *films)) if answered else ()
+    changes = () if any(verdict.problem for verdict in verdicts) else tuple(_changes(task.scene, *films))
     return SceneComparison(task.name, (verdicts[0], verdicts[1]), changes)
 
 

@@ -176,8 +176,7 @@ def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spa
                     continue
                 wrong, avoidable, mine = found.wrong, found.avoidable, name == subject
                 example = found.example(int([*avoidable, *wrong][0])) if len(wrong) else ""
-                excused = len(wrong) - len(avoidable)
-                scores[name] = OriginScore(found.counts(), len(wrong), excused, example)
+                scores[name] = OriginScore(found.counts(), len(wrong), len(wrong) - len(avoidable), example)
                 if mine and len(avoidable):
                     about = f"mitsuba-ref stress: {family.name}, {family.quantity} {x:g}"
                     file = write_parent(folder / f"{family.name}-{x:g}.toml", about, found, int(avoidable[0]))

@@ -186,8 +186,7 @@ class Scorer:
         open_to_excuse = exact.hit & some.hit if reference else np.full(len(wrong), not answer.exact_visibility)
         inexact = np.flatnonzero(wrong & open_to_excuse & ~some.is_broken)
         claims = claims_of(some.rows(inexact), exact.model.packed)
-        bracket = Bracket(exact.model, side)
-        bracketed = bracket.judge(endless(exact.o[inexact], exact.d[inexact]), claims)
+        bracketed = Bracket(exact.model, side).judge(endless(exact.o[inexact], exact.d[inexact]), claims)
         excused = inexact[(bracketed.allowed & ~(claims.t <= 0.0)) | bracketed.open]
         wrong[excused] = False
         all_wrong = answer.hit != self.hit
