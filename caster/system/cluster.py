@@ -11,11 +11,11 @@ import os
 import pickle
 import signal
 import threading
-import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from time import monotonic
 from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
@@ -224,15 +224,15 @@ class Cluster:
 
         Every result is fetched at once: one that only a worker has is lost with it, and its call runs again.
         """
-        lost = time.monotonic() + CONNECT_SECONDS
+        lost = monotonic() + CONNECT_SECONDS
         while not (ended := [future for future in sent if future not in found and future.done()]):
             if interrupted.is_set():
                 raise KeyboardInterrupt
             self._ended.wait(POLL_SECONDS)
             self._ended.clear()
             if self.client.status == "running":
-                lost = time.monotonic() + CONNECT_SECONDS
-            elif time.monotonic() > lost:
+                lost = monotonic() + CONNECT_SECONDS
+            elif monotonic() > lost:
                 raise self._lost()
         found |= {future: self._outcome(future) for future in ended}
         while sent and sent[0] in found:

@@ -9,8 +9,8 @@ import gc
 import json
 import statistics
 import sys
-import time
 from importlib import import_module
+from time import perf_counter
 from typing import Any
 
 from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
@@ -38,9 +38,9 @@ class Worker:
         gc.collect()
         module, _, name = self.work.driver.partition(":")
         self.driver = getattr(import_module(f"mitsuba_ref.bench.{module}"), name)(self.work)
-        start = time.perf_counter()
+        start = perf_counter()
         self.driver.build(size)
-        seconds = time.perf_counter() - start
+        seconds = perf_counter() - start
         self.driver.take_rays(size)
         return {"seconds": seconds}
 
@@ -49,9 +49,9 @@ class Worker:
         assert self.driver is not None
         seconds: list[float] = []
         while not seconds or sum(seconds) < least:
-            start = time.perf_counter()
+            start = perf_counter()
             rays = self.driver.cast()
-            seconds.append(time.perf_counter() - start)
+            seconds.append(perf_counter() - start)
         return {"seconds": statistics.median(seconds), "rays": rays}
 
     def answer(self, rows: list[int]) -> dict[str, Any]:

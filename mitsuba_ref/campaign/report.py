@@ -1,9 +1,9 @@
 """The report of a campaign: what is new since the last run, trends over runs, and the reference's own defects."""
 
-import html
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
+from html import escape
 from pathlib import Path
 
 from pydantic import computed_field
@@ -211,10 +211,10 @@ WIDTH, HEIGHT, MARGIN = 180, 36, 4  # of a plot, pixels
 
 def as_html(report: CampaignReport) -> str:
     """The text, and the trends as plots: a page that needs no other file."""
-    title = html.escape(f"Campaign {report.history}")
-    changes, *rest = (f"<pre>{html.escape(part)}</pre>" for part in _parts(report))
+    title = escape(f"Campaign {report.history}")
+    changes, *rest = (f"<pre>{escape(part)}</pre>" for part in _parts(report))
     plots = "".join(
-        f"<tr><td>{html.escape(group)}<td>{_plot([at.failing for at in points])}"
+        f"<tr><td>{escape(group)}<td>{_plot([at.failing for at in points])}"
         f"<td>{_plot([at.rays_per_second for at in points])}"
         for group, points in report.trends.items()
     )

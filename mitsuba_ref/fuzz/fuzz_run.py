@@ -2,7 +2,6 @@
 
 import itertools
 import shlex
-import time
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,6 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
@@ -149,7 +149,7 @@ class FuzzRun:
 
     def run(self) -> Iterator[Outcome]:
         """Yield the outcome after each example, in their order."""
-        start = time.monotonic()
+        start = monotonic()
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
         self.outcome.left_out = tuple(each for each in shape_types() if each not in self.drawing.types)
         for tried in self._tried(self.numbers, 1 if self.here else EXAMPLES_A_CALL, self.deadline):
@@ -161,7 +161,7 @@ class FuzzRun:
                     kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
                     if kept < self.keep:
                         self._keep(example, finding)
-            self.outcome.last_example, self.outcome.seconds = tried.number, time.monotonic() - start
+            self.outcome.last_example, self.outcome.seconds = tried.number, monotonic() - start
             yield self.outcome
         self.outcome.interrupted = False
 
@@ -169,7 +169,7 @@ class FuzzRun:
         """What came of each example. Those of a call that ended its process are tried again, each by itself."""
         source = iter(numbers)
         batches, again = itertools.tee(iter(lambda: tuple(itertools.islice(source, at_once)), ()))
-        calls = ((self.drawing, each) for each in itertools.takewhile(lambda _: time.monotonic() < deadline, again))
+        calls = ((self.drawing, each) for each in itertools.takewhile(lambda _: monotonic() < deadline, again))
         with closing(
             outcomes_of(self.engine, 1 if self.here else self.workers, try_examples, calls, forks=not self.here)
         ) as outcomes:
@@ -181,7 +181,7 @@ class FuzzRun:
                 else:
                     finding = Finding("crash", f"{ENDED}: {outcome.error}")
                     yield Tried(batch[0], Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
-                if time.monotonic() >= deadline:
+                if monotonic() >= deadline:
                     break
 
     def _keep(self, tried: Example, finding: Finding) -> None:

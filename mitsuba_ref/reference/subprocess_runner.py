@@ -16,11 +16,11 @@ import signal
 import subprocess
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import IO
 
 from caster.system.process import PARENT_VARIABLE, die_with_parent, forced_exit_actions
@@ -120,7 +120,7 @@ def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] =
 
     Raises OSError where the command cannot be started.
     """
-    begin = time.monotonic()
+    begin = monotonic()
     with tempfile.TemporaryFile() as output:
         try:
             child = _start(command, output, environment)
@@ -133,7 +133,7 @@ def run(command: Sequence[str], timeout: float, environment: Mapping[str, str] =
             pass
         finally:  # also on Ctrl-C, and for what the child may have started itself
             _kill_and_reap(child)
-        return ProcessEnd(code, captured(output), time.monotonic() - begin)
+        return ProcessEnd(code, captured(output), monotonic() - begin)
 
 
 class UnexpectedReply(ValueError):  # noqa: N818 - an outcome, not a mistake of the program
@@ -180,13 +180,13 @@ class ResidentProcess:
 
         Raises ProcessEnded, or UnexpectedReply (length_of may), after closing the process.
         """
-        begin = time.monotonic()
+        begin = monotonic()
         os.ftruncate(self._output.fileno(), 0)  # what it printed beside earlier replies
         os.lseek(self._output.fileno(), 0, os.SEEK_SET)  # the child writes at the same offset
         left, reply, expected = memoryview(data), bytearray(), HEAD_BYTES
         try:
             while left or len(reply) < expected:
-                seconds = max(begin + timeout - time.monotonic(), 0.0)
+                seconds = max(begin + timeout - monotonic(), 0.0)
                 readable, writable, _ = select.select([self._stdout], [self._stdin] if left else [], [], seconds)
                 if not readable and not writable:
                     raise self._ended(begin, late=True)
@@ -218,7 +218,7 @@ class ResidentProcess:
             except subprocess.TimeoutExpired:
                 code = -signal.SIGKILL
         _kill_and_reap(self.process)
-        end = ProcessEnd(code, captured(self._output), time.monotonic() - begin)
+        end = ProcessEnd(code, captured(self._output), monotonic() - begin)
         self.close()
         return ProcessEnded(end)
 

@@ -6,13 +6,13 @@ import re
 import shlex
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from importlib import resources
 from pathlib import Path
+from time import monotonic
 from typing import Any
 from urllib.parse import quote
 
@@ -55,7 +55,7 @@ class HtmlReport:
         self.verdicts: list[SceneVerdict] = []
         self.thumbnails: dict[str, str] = {}  # of the scenes whose record is written
         self._written = float("-inf")
-        self._about, self._started = run_facts(), time.monotonic()
+        self._about, self._started = run_facts(), monotonic()
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
         """Write the evidence of a verdict, and return the verdict without it. Raises OutputError."""
@@ -69,13 +69,13 @@ class HtmlReport:
     def add(self, verdict: SceneVerdict) -> None:
         """Append a scene to the list, which is written every few seconds. Raises OutputError."""
         self.verdicts.append(verdict)
-        if time.monotonic() - self._written > SECONDS_BETWEEN_WRITES:
+        if monotonic() - self._written > SECONDS_BETWEEN_WRITES:
             self.write()
 
     def write(self) -> None:
         """Write the page of all scenes added so far. Raises OutputError."""
         verdict = Verdict(tuple(self.verdicts), self.requested, requested_candidate=self.candidate)
-        took = max([time.monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
+        took = max([monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
         run = {
             **page_words(),
             "facts": [*self._about, ("duration", f"{took:.1f} s"), *(("reference", each) for each in verdict.versions)],
@@ -88,7 +88,7 @@ class HtmlReport:
         }
         rows = [index_row(each, self.thumbnails.get(each.name)) for each in self.verdicts]
         write_page(self.index, run, rows)
-        self._written = time.monotonic()
+        self._written = monotonic()
 
 
 def report_folder(path: str | Path) -> tuple[Path, Path]:

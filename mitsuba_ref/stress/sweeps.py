@@ -2,10 +2,10 @@
 
 import dataclasses
 import shlex
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -389,12 +389,12 @@ def sweep(
     candidate: one that takes rays, judged in place of our caster. folder: for the first wrong ray of each setting;
     words: options that name the candidate, for replays.
     """
-    start, casters = time.perf_counter(), BESIDE_CANDIDATE if candidate else CASTERS
+    start, casters = perf_counter(), BESIDE_CANDIDATE if candidate else CASTERS
     settings = [prepare_setting(family, seed, x, rays) for x in family.values]
     given = [ask_candidate(candidate, ready) if candidate else None for ready in settings]
     declined = [each.why for each in given if isinstance(each, Absent) and each.status == "not applicable"]
     if candidate and len(declined) == len(settings):
-        return SweepResult.of(family, seconds=time.perf_counter() - start, declined=declined[0])
+        return SweepResult.of(family, seconds=perf_counter() - start, declined=declined[0])
     results = []
     for ready, answer in zip(settings, given, strict=True):
         found = score_setting(ready, casters, answer)
@@ -405,7 +405,7 @@ def sweep(
             write_text(file, f"# {head}\n\n{subject.scene}")
             found = replace(found, replay=shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words]))
         results.append(found)
-    return SweepResult.of(family, results, seconds=time.perf_counter() - start)
+    return SweepResult.of(family, results, seconds=perf_counter() - start)
 
 
 def score_setting(
