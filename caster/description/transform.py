@@ -81,8 +81,7 @@ def rotations(quaternions: Floats) -> Floats:
         [-w * z - x * y, x * x + z * z, w * x - y * z],
         [w * y - x * z, -w * x - y * z, x * x + y * y],
     ]
-    found: Floats = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
-    return found
+    return np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
 
 
 def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float]) -> Matrix:

@@ -124,8 +124,7 @@ def packed(scene: AnyScene, rounded: Rounding = as_given) -> Packed:
     key = CACHED_AS[rounded]
     if key not in scene.derived:
         scene.derived[key] = pack(scene, rounded)
-    found: Packed = scene.derived[key]
-    return found
+    return scene.derived[key]
 
 
 def forget_packed(scene: AnyScene, rounded: Rounding, at_least: int) -> None:

@@ -66,8 +66,7 @@ def normalize_rows(vectors: Floats) -> Floats:
     columns = np.transpose(vectors)
     scaled = np.ldexp(columns, -_exponents(columns))
     length = row_lengths(scaled.T)
-    unit: Floats = (scaled / np.where(length == 0.0, 1.0, length)).T
-    return unit
+    return (scaled / np.where(length == 0.0, 1.0, length)).T
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:

@@ -118,8 +118,7 @@ def world_vertices(mesh: Mesh, matrix: np.ndarray, rounded: Rounding) -> np.ndar
 
 def is_usable(vertices: np.ndarray) -> np.ndarray:
     """(n,) bool: finite vertices within LARGEST_COORDINATE."""
-    usable: np.ndarray = (np.abs(vertices) < LARGEST_COORDINATE).all(axis=1)  # false for NaN
-    return usable
+    return (np.abs(vertices) < LARGEST_COORDINATE).all(axis=1)  # false for NaN
 
 
 def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -49,8 +49,7 @@ def bvh_of(kind: Kind) -> Tree:
     """The BVH over all primitives of a kind, built on first use and kept with them."""
     if not has_bvh(kind):
         kind.derived["bvh"] = build_tree(*kind.boxes(), thread_count())
-    tree: Tree = kind.derived["bvh"]
-    return tree
+    return kind.derived["bvh"]
 
 
 def has_bvh(kind: Kind) -> bool:

@@ -105,7 +105,8 @@ class RayHits:
 
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 
-        parallel_for_tiles(begin, tile_rows(window.width, window.height, len(self.packed.kinds)), self.threads)
+        rows = tile_rows(window.width, window.height, len(self.packed.kinds))
+        parallel_for_tiles(begin, rows, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
 

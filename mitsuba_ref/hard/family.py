@@ -28,14 +28,12 @@ class HardScene(NamedTuple):
 
 def plain(data: Fields) -> Fields:
     """A copy with lists in place of NumPy arrays, as in a scene file."""
-    copied: Fields = json.loads(json.dumps(data, default=lambda array: array.tolist()))
-    return copied
+    return json.loads(json.dumps(data, default=lambda array: array.tolist()))
 
 
 def scene_of(data: Fields) -> Scene:
     """The scene that the data describe. Raises SceneError or pydantic's ValidationError."""
-    scene: Scene = Scene.model_validate(plain(data))
-    return scene
+    return Scene.model_validate(plain(data))
 
 
 @dataclass(frozen=True)

@@ -414,8 +414,7 @@ def _placements(parsed: Parsed, loaded: Mapping[str, Any], number_of: dict[int, 
 
 
 def _matrix(transform: Any) -> list[list[float]]:
-    rows: list[list[float]] = np.array(transform.matrix, np.float64).reshape(4, 4).tolist()
-    return rows
+    return np.array(transform.matrix, np.float64).reshape(4, 4).tolist()
 
 
 def _number(value: Any) -> float:

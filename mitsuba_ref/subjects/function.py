@@ -63,8 +63,7 @@ def imported(text: str) -> Function:
         found = getattr(found, name)
     if not callable(found):
         raise SceneError(f"expected a function, got {type(found).__name__}")
-    call: Function = found
-    return call
+    return found
 
 
 def spawn_rule(text: str) -> Callable[[Array, Array, Array], Array]:

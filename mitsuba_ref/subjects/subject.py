@@ -66,8 +66,7 @@ class Answer:
     @property
     def hit(self) -> Array:
         """(n,) bool; a broken row counts as a hit."""
-        found: Array = ~np.isposinf(self.t)
-        return found
+        return ~np.isposinf(self.t)
 
     @property
     def is_broken(self) -> Array:
@@ -133,8 +132,7 @@ def _directions(n: Array) -> Array:
     _, exponent = np.frexp(np.abs(n).max(axis=1))
     n = np.ldexp(n, -exponent[:, None])
     length = np.linalg.norm(n, axis=1)
-    directions: Array = n / np.where(length > 0.0, length, 1.0)[:, None]
-    return directions
+    return n / np.where(length > 0.0, length, 1.0)[:, None]
 
 
 def checked_array(name: str, values: Any, shape: tuple[int, ...], nothing: float, *, whole: bool = False) -> Array:
