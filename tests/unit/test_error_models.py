@@ -21,7 +21,8 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.shapes import kind_of, reference_of
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
-from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, _uv as plane_uv, as_triangles
+from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
+from mitsuba_ref.shapes.plane import _uv as plane_uv
 from mitsuba_ref.shapes.surface_errors import UNRESOLVABLE
 
 Off = Callable[[np.ndarray], np.ndarray]
