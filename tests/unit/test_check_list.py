@@ -2,10 +2,9 @@
 
 import re
 
-from places import ROOT
+from places import ROOT, scene_of
 
-from caster import Pinhole, Scene
-from mitsuba_ref.judge.checks import OURS, all_checks, checks_of
+from mitsuba_ref.judge.checks import OURS, all_checks
 from mitsuba_ref.judge.checks.shapes import check_materials
 from mitsuba_ref.judge.verdict import SceneCheck
 
@@ -19,11 +18,5 @@ def test_the_method_page_lists_the_checks():
         assert (rows[check.name] == "ours") is (check.of == (OURS,)), check
 
 
-def test_only_thorough_adds_the_checks_beyond_the_film():
-    added = {check.name for check in checks_of(OURS, thorough=True)} - {check.name for check in checks_of(OURS)}
-    assert added == {"routes", "scaling"}
-
-
 def test_a_scene_without_shapes_has_its_materials():
-    empty = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[])
-    assert check_materials(empty) == SceneCheck("materials", 0.0, "nothing to look at")
+    assert check_materials(scene_of()) == SceneCheck("materials", 0.0, "nothing to look at")

@@ -208,12 +208,7 @@ def test_rectangle_and_cube_have_corners_at_one_and_faces_that_look_outwards(sha
     assert np.array_equal(0.5 * np.abs(doubled).sum(axis=0), [8.0 * depth, 8.0 * depth, 4.0 + 4.0 * depth])
 
 
-# ---- uv, parameters
-
-
-def test_uv_of_a_rectangle_run_along_the_axes_of_mitsubas_own():
-    mesh = caster.Rectangle().mesh()
-    assert np.array_equal(mesh.uv, (mesh.vertices[:, :2] + 1.0) / 2.0)
+# ---- parameters
 
 
 @pytest.mark.parametrize(

@@ -101,12 +101,6 @@ def test_a_missing_mesh_is_a_missing_file_at_its_line(scenes):
     )
 
 
-def test_a_broken_mesh_is_reported_with_both_lines(scenes):
-    (scenes / "bad.obj").write_text(TRIANGLE + "f 1 2\n")
-    said = refusal(SceneError, scenes, mesh("bad.obj"))
-    assert said.startswith("x.toml:7:1: shapes[0] (mesh): file cannot be used: bad.obj:5: a face needs at least 3")
-
-
 def test_a_missing_mesh_beside_another_error_is_an_invalid_scene(scenes):
     said = refusal(SceneError, scenes, mesh("no.obj") + "[film]\nwidth = 0\n")
     assert "x.toml:7:1" in said and "x.toml:9:1" in said
