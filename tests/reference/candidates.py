@@ -17,11 +17,6 @@ def ours(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.nda
     return hits.t.copy(), hits.normal.copy()
 
 
-def ours_rounded(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
-    return t.astype(np.float32), n.astype(np.float32)
-
-
 def far_root(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     """The far hit of the only ball."""
     (ball,) = scene.shapes
@@ -33,32 +28,42 @@ def far_root(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     return t, away + np.where(inside, t, 0.0)[:, None] * d
 
 
-def flipped_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
+def altered(change: Callable[[np.ndarray, np.ndarray], Given]) -> Trace:
+    """Our caster, whose t and normals are changed; it has the name of the change."""
+
+    def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+        return change(*ours(scene, o, d))
+
+    trace.__name__ = change.__name__
+    return trace
+
+
+@altered
+def flipped_normal(t: np.ndarray, n: np.ndarray) -> Given:
     return t, -n
 
 
-def one_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
+@altered
+def one_nan(t: np.ndarray, n: np.ndarray) -> Given:
     t[np.flatnonzero(np.isfinite(t))[7]] = np.nan
     return t, n
 
 
-def one_missed_edge_pixel(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
+@altered
+def one_missed_edge_pixel(t: np.ndarray, n: np.ndarray) -> Given:
     t[np.flatnonzero(np.isfinite(t))[0]] = np.inf
     return t, n
 
 
-def one_hit_beside_the_edge(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
+@altered
+def one_hit_beside_the_edge(t: np.ndarray, n: np.ndarray) -> Given:
     first = np.flatnonzero(np.isfinite(t))[0]
     t[first - 1], n[first - 1] = t[first], n[first]
     return t, n
 
 
-def t_off_by_a_ten_thousandth(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
+@altered
+def t_off_by_a_ten_thousandth(t: np.ndarray, n: np.ndarray) -> Given:
     return t * (1 + 1e-4), n
 
 
@@ -73,5 +78,11 @@ def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     return t, n
 
 
-def without_normals(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    return ours(scene, o, d)[0], None
+@altered
+def without_normals(t: np.ndarray, n: np.ndarray) -> Given:
+    return t, None
+
+
+@altered
+def ours_rounded(t: np.ndarray, n: np.ndarray) -> Given:
+    return t.astype(np.float32), n.astype(np.float32)

@@ -11,7 +11,7 @@ from typing import Any
 import candidates
 import numpy as np
 import pytest
-from places import ROOT, shipped
+from places import ROOT, SHIPPED, shipped
 
 import caster
 from caster.cameras.single_ray import Ray
@@ -21,14 +21,13 @@ from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.aggregate import NEVER_GIVEN
 from mitsuba_ref.judge.pipeline import Task
-from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, WRONG, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, SceneCheck, SceneVerdict, TIE, Verdict, WRONG
 from mitsuba_ref.report.builtin_scenes import scene_path
 from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects.function import FunctionSubject
 
 pytestmark = pytest.mark.usefixtures("remembered")
-SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 LARGE_SCENES = {"hills-131072-triangles", "two-thousand-spheres"}  # for a loop over all of them
 
 
@@ -57,7 +56,7 @@ def supported(scene: Scene) -> bool:
     return flat and not any(shape.type in ("sphere", "spheres") and shape.to_world for shape in shapes)
 
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 @pytest.mark.slow("every shipped scene, twice", every=7)
 def test_ours_as_a_candidate_and_a_plain_float32_caster_pass(path):
     scene = small(path.stem, 16, 12)
@@ -105,12 +104,17 @@ def test_a_surface_behind_the_first_is_named_so():
     assert not found.ok and "a surface that lies behind the first one" in found.findings[0].what
 
 
+def bias_of(found: SceneVerdict) -> SceneCheck:
+    (bias,) = (check for check in found.checks if check.name == "t_bias")
+    return bias
+
+
 def scaled(roundings: int, dtype: type) -> candidates.Trace:
     """Our hits, rounded to dtype, with every t longer by a number of its roundings."""
     u = float(np.finfo(dtype).epsneg)
 
-    def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
-        t, n = candidates.ours(scene, o, d)
+    @candidates.altered
+    def trace(t: np.ndarray, n: np.ndarray) -> candidates.Given:
         return (t * (1.0 + roundings * u)).astype(dtype), n.astype(dtype)
 
     return trace
@@ -120,7 +124,7 @@ def scaled(roundings: int, dtype: type) -> candidates.Trace:
 @pytest.mark.parametrize(("roundings", "passes"), [(0, True), (2, True), (-2, True), (6, False), (-6, False)])
 def test_one_factor_on_every_t_fails_within_the_bounds(dtype, roundings, passes):
     found = judged(scaled(roundings, dtype), small("teapot", 60, 45))
-    (bias,) = (check for check in found.checks if check.name == "t_bias")
+    bias = bias_of(found)
     assert found.ok is bias.ok is passes and not found.counts[WRONG], bias.what
     measured = float(bias.what.split()[4])
     assert measured == pytest.approx(roundings, abs=1.0), bias.what
@@ -161,21 +165,20 @@ def test_reciprocals_and_roots_in_float32_are_no_factor(how):
     found = judged(
         moeller_trumbore(*HONEST[how]), load_scene(scene_path("builtin:scan-size-1e3")).with_film(width=64, height=64)
     )
-    (bias,) = (check for check in found.checks if check.name == "t_bias")
+    bias = bias_of(found)
     assert found.ok and "of 16" in bias.what and bias.ratio < 0.5, bias.what
 
 
 def moved_origin(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
     """Ours in float32, with every ray's origin moved by one vector of a few roundings."""
     far = o + 3.0 * np.abs(o).max() * 2.0**-24 * np.array([1.0, -1.0, 1.0])
-    t, n = candidates.ours(scene, far, d)
-    return t.astype(np.float32), n.astype(np.float32)
+    return candidates.ours_rounded(scene, far, d)
 
 
 def test_one_shift_of_every_origin_is_rounding_and_no_factor():
     """A caster that moves rays to the space of an instance rounds their origin once for all."""
     found = judged(moved_origin, small("teapot"))
-    (bias,) = (check for check in found.checks if check.name == "t_bias")
+    bias = bias_of(found)
     assert bias.ok and bias.ratio < 0.3, bias.what
 
 
@@ -187,7 +190,8 @@ def test_whether_a_ray_hits_the_surface_it_starts_on_is_the_candidates_choice(t)
     scene = Scene.model_validate({"camera": camera, "shape": walls}).with_film(width=1, height=1)
 
     def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
-        return np.where(o[:, 2] == 0.0, t, candidates.ours(scene, o, d)[0]), candidates.ours(scene, o, d)[1]
+        found, n = candidates.ours(scene, o, d)
+        return np.where(o[:, 2] == 0.0, t, found), n
 
     found = judged(trace, scene)
     assert found.counts == {**dict.fromkeys(CLASSES, 0), (TIE if t < 1.0 else REFERENCE_WRONG): 1}, found
@@ -232,9 +236,9 @@ def talkative(scene, o, d):
     raise RuntimeError("\x1b[31m" + 100_000 * "x")
 
 
-def masked(scene, o, d):
+@candidates.altered
+def masked(t, n):
     """Right numbers in a masked array."""
-    t, n = candidates.ours(scene, o, d)
     return np.ma.masked_array(t, mask=np.isfinite(t)), n
 
 
@@ -262,14 +266,14 @@ def test_an_answer_of_another_form_is_a_problem_and_never_a_pass(trace, says):
     assert not Verdict((found,)).ok
 
 
-def far_normals(scene, o, d):
-    t, n = candidates.ours(scene, o, d)
+@candidates.altered
+def far_normals(t, n):
     return t, 1e300 * n
 
 
-def odd_arrays(scene, o, d):
+@candidates.altered
+def odd_arrays(t, n):
     """Arrays that are read-only, in Fortran order, of swapped byte order, or views of one another."""
-    t, n = candidates.ours(scene, o, d)
     both = np.asfortranarray(np.column_stack([t, n]).astype(">f8"))
     both.flags.writeable = False
     return both[:, 0], both[:, 1:]
@@ -291,8 +295,8 @@ def test_how_a_right_answer_is_stored_does_not_count(trace, capsys):
     assert (Path.cwd(), np.geterr()) == (here, errors) and capsys.readouterr().out == ""
 
 
-def far_t(scene, o, d):
-    t, n = candidates.ours(scene, o, d)
+@candidates.altered
+def far_t(t, n):
     return np.where(np.isfinite(t), 1e308, t), n
 
 
@@ -324,7 +328,7 @@ def interrupted(scene, o, d):
 def test_an_interrupted_run_names_the_candidate_though_no_scene_is_done(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(Path(__file__).parent)
     file = tmp_path / "v.json"
-    words = ["validate", str(SCENES[0]), "--size", "8", "6", "--candidate", "test_candidates:interrupted"]
+    words = ["validate", str(SHIPPED[0]), "--size", "8", "6", "--candidate", "test_candidates:interrupted"]
     words += ["--json", str(file), "--html", str(tmp_path / "report"), "--junit", str(tmp_path / "j.xml")]
     assert main(words) == 130
     out = capsys.readouterr().out

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from candidates import ours
 from mitsuba_scenes import scene_judge
 
 import caster
@@ -31,15 +32,10 @@ SHAPES = (
 )
 
 
-def cast(scene, o, d):
-    hits = caster.cast(scene, o, d)
-    return hits.t.copy(), hits.normal.copy()
-
-
 @pytest.fixture(scope="module")
 def right(send) -> Judge:
     scene = Scene(film=caster.Film(width=WIDTH, height=HEIGHT), camera=CAMERA, shapes=SHAPES)
-    return scene_judge(scene, FunctionSubject("right", cast, "float64"), send=send)
+    return scene_judge(scene, FunctionSubject("right", ours, "float64"), send=send)
 
 
 @pytest.fixture(scope="module")
@@ -271,21 +267,19 @@ WHOLE = {
 
 @pytest.mark.parametrize("what", WHOLE)
 def test_a_mistake_is_named_by_its_own_sentence_unless_right_pixels_contradict_it(right, what):
-    judge = right
-    t = np.ascontiguousarray(WHOLE[what](judge, judge.answer.t)).ravel()
-    count, found = explained(answering(judge, t=t))
+    t = np.ascontiguousarray(WHOLE[what](right, right.answer.t)).ravel()
+    count, found = explained(answering(right, t=t))
     assert count > 30 and found.get(what, 0) >= 0.95 * count, (found, count)
     assert next(iter(found)) == what
     half = np.arange(len(t)) % 16 < 8
-    assert what not in explained(answering(judge, t=np.where(half, t, judge.answer.t)))[1]
+    assert what not in explained(answering(right, t=np.where(half, t, right.answer.t)))[1]
 
 
 def test_a_mistake_of_few_normals_is_not_named_by_chance(right):
-    judge = right
-    n, other = judge.answer.n[:, [1, 2, 0]], np.random.default_rng(9).normal(size=judge.answer.n.shape)
+    n, other = right.answer.n[:, [1, 2, 0]], np.random.default_rng(9).normal(size=right.answer.n.shape)
     other /= np.linalg.norm(other, axis=1, keepdims=True)
     for share, named in ((3, False), (1, True)):
         some = (np.arange(len(n)) % share == 0)[:, None]
-        f = pixels(answering(judge, n=np.where(some, n, other)), np.flatnonzero(judge.result.hit))
+        f = pixels(answering(right, n=np.where(some, n, other)), np.flatnonzero(right.result.hit))
         found = [mistake.what for mistake, _ in explanations(f, f.take(np.zeros(0, int)), normal_mistakes(f))]
         assert any("(y, z, x) in place of (x, y, z)" in what for what in found) is named
