@@ -8,6 +8,7 @@ from caster.scene.model import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = ROOT / "scenes"
+SHIPPED = sorted(SCENES.glob("*.toml"))
 
 
 def shipped(name: str, width: int, height: int) -> Scene:

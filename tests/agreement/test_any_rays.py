@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hard_rays import FAMILIES, hard_rays
+from places import scene_of
 from random_scenes import KINDS, name, random_scene
 from same_bits import assert_same_bits
 from triangle_soup import triangle_soup
@@ -18,7 +19,7 @@ from caster.scene.model import Scene
 from caster.shapes import SHAPES, Icosphere
 
 SIZES = (1e-3, 1.0, 1e3)
-BALL = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
+BALL = scene_of(Icosphere())
 RAYS = 100  # of each family, for each shape, size and offset; `make nightly` casts 200,000 hard rays a shape
 
 
@@ -142,8 +143,7 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
 def test_a_tree_never_changes_a_hit_from_so_far_away_that_rays_are_wider_than_the_tree(power):
     """From so far away, empty places of a node are entered, too. Neighbouring rays differ a lot, or not at all."""
     rng = np.random.default_rng(power)
-    camera = Pinhole(eye=(0.0, 0.0, 5.0), look_at=(0.0, 0.0, 0.0))
-    scene = Scene(camera=camera, shapes=[Icosphere(subdivisions=1)])  # nodes that are not full
+    scene = scene_of(Icosphere(subdivisions=1))  # nodes that are not full
     o = rng.normal(size=(64, 3))
     o *= 2.0**power / np.linalg.norm(o, axis=1, keepdims=True)
     together = np.repeat(o[:8], 8, axis=0)

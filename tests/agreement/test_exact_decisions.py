@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hard_rays import hard_rays
+from places import scene_of
 from random_scenes import name, random_scene
 
 from caster.cameras import Pinhole
@@ -15,11 +16,6 @@ from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family
-
-
-def scene_of(*shapes):
-    """A scene whose camera does not matter."""
-    return Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=shapes)
 
 
 SMALL = [shape for shape in SHAPES if name(shape) in ("sphere", "plane", "triangle", "disk", "cube", "cylinder")]

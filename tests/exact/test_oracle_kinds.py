@@ -59,7 +59,6 @@ def test_every_root_is_that_of_textbook_fractions(kind):
     seen: Counter = Counter()
     for scale in SCALES:
         assert disagreements(kind, scale, seen) == 0, scale
-    print(kind, dict(seen))
     assert set(seen) == WHERE[kind] | {"miss"}
     assert min(seen.values()) >= 20, seen
 

@@ -88,7 +88,6 @@ def test_the_first_hit_of_all_is_that_of_trying_all_in_fractions():
     seen: Counter = Counter()
     for scale in SCALES:
         assert wrong_answers(scale, seen) == 0, scale
-    print(dict(seen))
     assert set(seen) >= {"inside", "edge", "vertex", "rim", "tangent", "miss"} and min(seen.values()) >= 5, seen
     assert seen["tie"] >= 100
 

@@ -4,9 +4,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from places import scene_of
 
-from caster import Cylinder, Disk, EllipsoidCloud, LinearCurve, Plane, Rectangle, Scene, Sphere
-from caster.cameras.single_ray import Ray
+from caster import Cylinder, Disk, EllipsoidCloud, LinearCurve, Plane, Rectangle, Sphere
 from mitsuba_ref.hard.rays import Targets, endless
 from mitsuba_ref.judge.checks.secondary_rays import judge_origins, leaving_rays
 from mitsuba_ref.oracle.implicit_surfaces import Approximate
@@ -14,10 +14,11 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import SELF_HIT, SKIPPED, UNDECIDED, WRONG_SIDE, OriginJudge
 from mitsuba_ref.reference.shared_input import packed_float32
 
-CAMERA = Ray(origin=(0, 0, 9), direction=(0, 0, -1))
 FLOOR = Plane(point=(0, 0, 0), normal=(0, 0, 1))
 BALL = Sphere(center=(0, 0, -1), radius=1)
 TINY = 2.0**-20
+BELOW = Plane(point=(0, 0, -TINY), normal=(0, 0, 1))
+WITHIN = Sphere(center=(0, 0, -1), radius=1 - TINY)
 
 
 def outer(z, radius):
@@ -27,7 +28,7 @@ def outer(z, radius):
 
 def leaving(shapes, o, d, w, q):
     """Rays from q along w after the exact hits of their parents."""
-    scene = Scene(camera=CAMERA, shapes=shapes)
+    scene = scene_of(*shapes)
     packed = packed_float32(scene)
     o, d, w, q = (np.atleast_2d(np.asarray(a, np.float64)) for a in (o, d, w, q))
     answers = Oracle(packed).first_hits(o, d)
@@ -44,9 +45,9 @@ def leaving(shapes, o, d, w, q):
         ([FLOOR], (0, 0, 1), (0, 0, 0), SELF_HIT | WRONG_SIDE),
         ([FLOOR], (0, 0, -1), (0, 0, -TINY), 0),
         ([FLOOR], (1, 0, 0), (0, 0, TINY), UNDECIDED),
-        ([FLOOR, Plane(point=(0, 0, -TINY), normal=(0, 0, 1))], (0, 0, -1), (0, 0, -2 * TINY), SKIPPED),
-        ([FLOOR, Plane(point=(0, 0, -TINY), normal=(0, 0, 1))], (0, 0, -1), (0, 0, -TINY), SKIPPED),
-        ([FLOOR, Plane(point=(0, 0, -TINY), normal=(0, 0, 1))], (0, 0, -1), (0, 0, -TINY / 2), 0),
+        ([FLOOR, BELOW], (0, 0, -1), (0, 0, -2 * TINY), SKIPPED),
+        ([FLOOR, BELOW], (0, 0, -1), (0, 0, -TINY), SKIPPED),
+        ([FLOOR, BELOW], (0, 0, -1), (0, 0, -TINY / 2), 0),
         ([BALL], (0, 0, 1), (0, 0, TINY), 0),
         ([BALL], (0, 0, -1), (0, 0, -TINY), 0),
         ([BALL], (0, 0, -1), (0, 0, TINY), SELF_HIT | WRONG_SIDE),
@@ -54,8 +55,8 @@ def leaving(shapes, o, d, w, q):
         ([BALL], (1, 0, TINY), (-TINY, 0, 0), 0),
         ([BALL], (1, 0, TINY / 4), (-TINY, 0, TINY**2 / 2), 0),
         ([BALL], (1, 0, TINY**2), (-0.5, 0, -0.125), SELF_HIT),  # outside; past a bulge of its own surface
-        ([BALL, Sphere(center=(0, 0, -1), radius=1 - TINY)], (0, 0, -1), (0, 0, -4 * TINY), SKIPPED),
-        ([BALL, Sphere(center=(0, 0, -1), radius=1 - TINY)], (0, 0, -1), (0, 0, -TINY / 4), 0),
+        ([BALL, WITHIN], (0, 0, -1), (0, 0, -4 * TINY), SKIPPED),
+        ([BALL, WITHIN], (0, 0, -1), (0, 0, -TINY / 4), 0),
         ([BALL, BALL], (0, 0, -1), (0, 0, -TINY), 0),
         ([outer(-1, 1)], (0, 0, 1), (0, 0, TINY), 0),
         ([outer(-1, 1)], (0, 0, 1), (0, 0, -TINY), WRONG_SIDE),
@@ -90,8 +91,7 @@ def test_the_float64_filter_agrees_with_exact_arithmetic():
         Plane(point=(0, -0.3, 0), normal=(0.2, 1, 0.1)),
     ]
     count = 300
-    scene = Scene(camera=CAMERA, shapes=shapes)
-    p = Targets(packed_float32(scene), rng).points(count, "inside").p
+    p = Targets(packed_float32(scene_of(*shapes)), rng).points(count, "inside").p
     o, w = p + rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
     made = leaving(shapes, o, p - o, w, p)
     rays = made.rays

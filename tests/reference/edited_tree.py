@@ -13,9 +13,8 @@ import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from programs import python
+from programs import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("caster", "mitsuba_ref")
 DEADLINE = 300.0  # seconds; no command needs more than 20, on a machine that does nothing else
 SERVER = (sys.executable, "-P", str(Path(__file__).with_name("forked_runs.py")))

@@ -39,7 +39,7 @@ def test_bands_are_whole_rows_that_make_up_the_window(small_bands, window):
     assert [y for _, first, _, end in bands for y in range(first, end)] == list(range(window[1], window[3]))
     assert {(x0, x1) for x0, _, x1, _ in bands} == {(window[0], window[2])}
     assert all((x1 - x0) * (y1 - y0) <= BAND for x0, y0, x1, y1 in bands)
-    assert len(bands) == (1 if (window[2] - window[0]) * (window[3] - window[1]) <= BAND else len(bands)) > 0
+    assert (len(bands) == 1) == ((window[2] - window[0]) * (window[3] - window[1]) <= BAND)
 
 
 def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monkeypatch):

@@ -1,16 +1,16 @@
 """--bounces of validate, rays and probe on the shipped scene of glass and mirrors."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SCENES
 
 import caster
 from mitsuba_ref.__main__ import main
 
 pytestmark = pytest.mark.usefixtures("remembered")
-SCENE = str(Path(__file__).parents[2] / "scenes/glass-and-mirror.toml")
+SCENE = str(SCENES / "glass-and-mirror.toml")
 SIZE = ("--size", "16", "12")
 
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited_tree import ROOT
-from places import shipped
+from places import SCENES, SHIPPED, shipped
 
 import caster
 from caster.geometry.packing import pack
@@ -141,7 +140,7 @@ def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (1e-7, True)])
 def test_spheres_at_the_same_place_are_no_bias_and_hide_none_of_another_sphere(send, share, biased):
     """The reference chooses one of the two by the sign of a rounding: pixels of the other are biased by selection."""
-    (first,) = load_scene(ROOT / "scenes" / "one-sphere.toml").shapes
+    (first,) = load_scene(SCENES / "one-sphere.toml").shapes
     x, y, z = first.center
     twin = first.model_copy(update={"name": "twin"})
     third = caster.Sphere(center=(x + 0.3, y + 0.3, z + 1.8), radius=0.4)  # in front of a part of both
@@ -201,10 +200,10 @@ ROUNDED_TOO_COARSELY = "far-from-origin"  # positions, to 1e4 times as much as d
 
 
 @pytest.mark.slow("every shipped scene", every=25)
-@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenes").glob("*.toml")))
+@pytest.mark.parametrize("name", [path.stem for path in SHIPPED])
 def test_ours_off_by_a_hundred_millionth_is_a_bias_and_right_it_is_none(send, name):
     """In each scene with groups of triangles that tell."""
-    scene = load_scene(ROOT / "scenes" / f"{name}.toml")
+    scene = load_scene(SCENES / f"{name}.toml")
     asked = Asked(send, name, scene.film.width, scene.film.height)
     found = [asked.farther(share) for share in (0.0, 1e-8, -1e-8)]
     right, farther, nearer = (bias_of(each, "position") for each in found)

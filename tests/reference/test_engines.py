@@ -8,9 +8,11 @@ import sys
 import threading
 import time
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import caster
 from caster.__main__ import main as caster_main
@@ -23,7 +25,6 @@ from mitsuba_ref.cli import experiments
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, judge_entry, with_inputs_hash
 from mitsuba_ref.runner.verdict_files import worker_identity
 
-ROOT = Path(__file__).resolve().parents[2]
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
 
 # Functions that workers import from a module beside the test.
@@ -237,14 +238,12 @@ def test_a_worker_with_another_scene_renders_and_judges_nothing(tmp_path):
     file.write_text(HEAD + SPHERE)
     sha256 = caster.load_scene(file).sha256()
     (entry,) = map(with_inputs_hash, [SceneEntry("one", str(file))])
-    assert render_band(str(file), (), sha256, (24, 16), (0, 0, 24, 4), ("depth",)).hits
-    assert judge_entry(entry, JudgeOptions(store=False)).ok
+    render = partial(render_band, str(file), (), sha256, (24, 16), (0, 0, 24, 4), ("depth",))
+    judge = partial(judge_entry, entry, JudgeOptions(store=False))
+    assert render().hits and judge().ok
     file.write_text(HEAD + SPHERE + "radius = 2\n")
     scene_of.cache_clear()
-    for call in (
-        lambda: render_band(str(file), (), sha256, (24, 16), (0, 0, 24, 4), ("depth",)),
-        lambda: judge_entry(entry, JudgeOptions(store=False)),
-    ):
+    for call in (render, judge):
         with pytest.raises(caster.SceneError, match=r"one\.toml: the worker on .* has another version"):
             call()
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from candidates import ours
 from places import ROOT, shipped
 
-import caster
 import mitsuba_ref
 from caster.description.errors import FileMissing, SceneError
 from caster.rendering.images import camera_rays, render
@@ -214,14 +214,9 @@ def test_an_imported_scene_hits_the_same_as_the_original(folder, capsys, monkeyp
     assert "left out: bsplinecurve 'hair'" in said and "there/out.toml: 8 shapes, 4 left out or changed" in said
     written = load_scene("there/out.toml")
     assert written.film.width == 40 and "# left out: bsplinecurve 'hair'" in Path("there/out.toml").read_text()
-    verdict = mitsuba_ref.validate("every-plugin.xml", candidate=lambda scene, o, d: _cast(written, o, d))
+    verdict = mitsuba_ref.validate("every-plugin.xml", candidate=lambda scene, o, d: ours(written, o, d))
     counts = verdict.scenes[0].counts
     assert verdict.ok and sum(counts.values()) == counts["agree"] + counts["explained"] + counts["tie"] > 1200
-
-
-def _cast(scene, o, d):
-    hits = caster.cast(scene, o, d)
-    return hits.t, hits.normal
 
 
 def test_rays_are_the_sensors_own(folder):

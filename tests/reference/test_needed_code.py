@@ -4,14 +4,13 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from caster.scene.files import load_scene
 from mitsuba_ref.runner.verdict_files import OF_KINDS, code_hash, modules_for, sources, verdict_key
 
-ROOT = Path(__file__).resolve().parents[2]
 CAMERA = '[film]\nwidth = 6\nheight = 5\n[camera]\ntype = "{}"\n{}\n'
 EYE = "eye = [0.1, 0.2, 5]\nlook_at = [0, 0, 0]\n"
 SHAPES = {

@@ -4,14 +4,14 @@ import json
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from mitsuba_ref.__main__ import main
 
 pytestmark = pytest.mark.usefixtures("remembered")
-EXAMPLES = Path(__file__).parents[2] / "mitsuba_ref/starters"
+EXAMPLES = ROOT / "mitsuba_ref/starters"
 SCENE = """
 [film]
 width = 20
@@ -181,8 +181,8 @@ def test_limits_that_a_program_does_not_have_are_one_finding_of_the_run_and_can_
 
 # ---- the pages' glue around other libraries, and findings in them
 
-GLUE = sorted((EXAMPLES.parents[1] / "benchmarks/scoreboard/casters").glob("*.mjs"))
-FINDINGS = sorted((EXAMPLES.parents[1] / "docs/findings").glob("*.toml"))
+GLUE = sorted((ROOT / "benchmarks/scoreboard/casters").glob("*.mjs"))
+FINDINGS = sorted((ROOT / "docs/findings").glob("*.toml"))
 
 
 def test_glue_in_javascript_has_the_syntax():
@@ -193,8 +193,7 @@ def test_glue_in_javascript_has_the_syntax():
 
 
 def test_the_page_shows_the_glue_around_three_js_as_it_is():
-    root = EXAMPLES.parents[1]
-    assert (root / "benchmarks/scoreboard/casters/three.mjs").read_text() in (root / "docs/candidates.md").read_text()
+    assert (ROOT / "benchmarks/scoreboard/casters/three.mjs").read_text() in (ROOT / "docs/candidates.md").read_text()
 
 
 def test_ours_is_right_on_the_scenes_of_the_findings():

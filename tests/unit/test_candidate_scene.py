@@ -1,11 +1,10 @@
 """A candidate is handed the scene in the very numbers that Mitsuba and exact arithmetic get."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from places import scene_of
+from places import SHIPPED, scene_of
 
 import caster
 from caster.geometry.packing import pack, packed
@@ -18,11 +17,10 @@ from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.ray_files import answer_of_numbered_hits
 from mitsuba_ref.subjects.subject import checked_answer, scene_as_traced
 
-SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 NUMBERS = ("vertices", "faces", "center", "radius", "to_world", "to_object", "point")
 
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 @pytest.mark.slow("every shipped scene", every=3)
 def test_the_traced_scene_packs_to_the_traced_numbers_without_any_rounding(path, tmp_path):
     scene = load_scene(path)

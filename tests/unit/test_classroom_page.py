@@ -3,15 +3,15 @@
 import re
 import runpy
 import sys
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import caster
 from caster.__main__ import main
 from caster.classroom.course_files import load_course_scene
 
-PAGE = (Path(__file__).parents[2] / "docs/classroom.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/classroom.md").read_text(encoding="utf-8")
 
 
 def as_shown(file):

@@ -13,7 +13,6 @@ from caster.geometry.mesh_files import load_mesh
 from caster.geometry.packing import pack, primitive_count
 from caster.geometry.world_space import as_float32
 from caster.scene.files import scene_from_text
-from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.report.reproducers import pack_one
 from mitsuba_ref.shapes import kind_of
@@ -58,7 +57,7 @@ def folder(tmp_path):
 def test_every_shape_packs_to_the_same_bits_again(shape, folder):
     checked = 0
     for one in shapes_of(shape, folder):
-        (part,) = pack(Scene(camera=AT, shapes=[one]), as_float32).parts
+        (part,) = pack(scene_of(one), as_float32).parts
         for k in np.random.default_rng(1).permutation(primitive_count(part))[:PRIMS]:
             again = pack_one(read_back(kind_of(part).describe(part, k)))
             assert packs_identically(part, k, again), (one, k)
@@ -80,17 +79,14 @@ def numbers_of(part, k):
     return [a[k] for name, a in part._asdict().items() if name != "turn"]
 
 
-AT = caster.Ray(origin=(0, 0, 0), direction=(0, 0, 1))
-
-
 def read_back(shape):
     """Through the text of a scene file, as reproducers write it."""
-    scene = scene_from_text(Scene(camera=AT, shapes=[shape]).to_toml(), "toml")
+    scene = scene_from_text(scene_of(shape).to_toml(), "toml")
     return scene.shapes[0].model_dump(by_alias=True, exclude_none=True)
 
 
 def test_other_numbers_are_noticed():
-    (part,) = pack(Scene(camera=AT, shapes=[caster.Sphere(center=(0.1, 0.2, 0.3))]), as_float32).parts
+    (part,) = pack(scene_of(caster.Sphere(center=(0.1, 0.2, 0.3))), as_float32).parts
     shape = kind_of(part).describe(part, 0)
     assert packs_identically(part, 0, pack_one(shape))
     assert not packs_identically(
@@ -109,9 +105,8 @@ def test_vectors_of_unit_length_round_back():
     assert np.array_equal(as_float32(found), single)
     assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() <= 4 * 2.0**-53
     for exact in ([0.0, -1.0, 0.0], [0.6, 0.0, 0.8]):
-        assert np.array_equal(
-            as_float32(unit_vector_rounding_to(as_float32(np.array(exact)))), as_float32(np.array(exact))
-        )
+        single = as_float32(np.array(exact))
+        assert np.array_equal(as_float32(unit_vector_rounding_to(single)), single)
     assert unit_vector_rounding_to(np.array([0.0, -1.0, 0.0])).tolist() == [0.0, -1.0, 0.0]
 
 

@@ -3,16 +3,16 @@
 import json
 import re
 import tomllib
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from caster.cli import installation
 from caster.cli.installation import Finding, Package, find_package
 from mitsuba_ref.cli import doctor as judge_doctor
 from mitsuba_ref.reference.variants import Variants
 
-PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 NAMED = {finding.name: finding for finding in installation.report()}
 
 

@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from places import scene_of
 
-from caster import Pinhole, Scene
+from caster import Scene
 from caster.geometry.packing import pack, rejected_faces
 from caster.shapes import Heightfield
 
@@ -32,8 +33,7 @@ def peak_of(work: Callable[[], object]) -> float:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    field = Heightfield(resolution=RESOLUTION)
-    return Scene(camera=Pinhole(eye=(0, -2, 1), look_at=(0, 0, 0), up=(0, 0, 1)), shapes=[field])
+    return scene_of(Heightfield(resolution=RESOLUTION))
 
 
 def test_a_landscape_is_made_packed_and_looked_through_in_little_memory(scene):

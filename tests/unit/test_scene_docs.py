@@ -1,9 +1,9 @@
 """docs/scene-format.md lists every key with its default, and its examples load."""
 
 import re
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
@@ -13,7 +13,7 @@ from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import LIGHTS, MAX_FILM_SIDE, Check, Diffuse, Film, Glass, Mirror, Shading
 from caster.shapes import SHAPES
 
-DOCUMENT = (Path(__file__).parents[2] / "docs/scene-format.md").read_text()
+DOCUMENT = (ROOT / "docs/scene-format.md").read_text()
 CAMERA = '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'
 
 

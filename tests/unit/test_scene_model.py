@@ -97,7 +97,7 @@ def test_what_was_computed_from_a_scene_stays_with_it_alone():
 @pytest.mark.parametrize("place", [(7, 8, 9), (-7, -8, -9), (7, -9, 8)])
 def test_an_extent_is_the_largest_coordinate_of_either_sign(place):
     shapes = [kind(to_world={"translate": place}) for kind in (Sphere, Icosphere, Disk, Cylinder)]
-    numbers = packed(Scene(camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=shapes))
+    numbers = packed(Scene(camera=CAMERA, shapes=shapes))
     for kind, of_shape in zip(numbers.kinds, numbers.shape_extents, strict=True):
         assert kind.extent == of_shape == np.abs(kind.boxes()).max()
 

@@ -1,9 +1,9 @@
 """Every option of scene files is used by a shipped scene or drawn by the fuzzer, so that it is judged."""
 
 import functools
-from pathlib import Path
 
 import pytest
+from places import SHIPPED
 from scene_options import aspects, demanded, demanded_aspects, exercised
 
 from caster.scene.files import load_scene
@@ -46,7 +46,7 @@ def of_family():
 @functools.cache
 def of_folder():
     """Shipped scenes, with the options of each."""
-    scenes = [load_scene(path) for path in sorted(Path("scenes").glob("*.toml"))]
+    scenes = [load_scene(path) for path in SHIPPED]
     return [(scene, options_of(scene)) for scene in scenes]
 
 

@@ -7,17 +7,16 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from places import SCENES as FOLDER
+from places import SCENES, SHIPPED
 
 from caster.aovs import BY_NAME
 from caster.rendering.images import render
 from caster.scene.files import load_scene, scene_schema
 from caster.scene.model import Scene
 
-SCENES = sorted(FOLDER.glob("*.toml"))
 SIDE = 32  # pixels
 
-warm_up_scenes = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+warm_up_scenes = pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 
 
 @functools.cache
@@ -58,6 +57,6 @@ def test_a_scene_shows_something_and_no_nan(path):
 
 
 def test_every_mesh_file_is_below_20_kb_and_used():
-    used = {Path(shape.file) for path in SCENES for shape in scene_of(path).shapes if getattr(shape, "file", None)}
-    assert {file.resolve() for file in used} == {file.resolve() for file in (FOLDER / "meshes").iterdir()}
+    used = {Path(shape.file) for path in SHIPPED for shape in scene_of(path).shapes if getattr(shape, "file", None)}
+    assert {file.resolve() for file in used} == {file.resolve() for file in (SCENES / "meshes").iterdir()}
     assert [file.name for file in used if file.stat().st_size >= 20_000] == []

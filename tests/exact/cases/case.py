@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from places import scene_of
 
-from caster import Film, Pinhole, Scene
+from caster import Scene
 from caster.geometry.packing import pack
 from caster.geometry.world_space import Rounding, as_float32, as_given
 
@@ -68,7 +69,7 @@ class Maker:
 
     def scene(self, shapes: Sequence[Any]) -> Scene:
         """A scene whose packed numbers have this precision."""
-        scene = Scene(film=Film(width=1, height=1), camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=shapes)
+        scene = scene_of(*shapes, film={"width": 1, "height": 1})
         scene.derived["packed"] = pack(scene, self.rounded)
         return scene
 
