@@ -6,6 +6,7 @@ of two, so that it stays exact from 1e-300 to 1e300, or by other numbers, which 
 """
 
 from fractions import Fraction
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from caster.shapes.sphere import Ellipsoids, OuterEllipsoids, Spheres
 from mitsuba_ref.oracle.exact_numbers import Root
 
 Rng = np.random.Generator
+Aims = tuple[Any, np.ndarray, np.ndarray]  # primitives, a point on each or beside it, and directions
 
 # (scale of space, scale of d): exact ones, those that round, the range of float64, and denormal numbers
 SCALES = {
@@ -96,7 +98,7 @@ def scaled(prims: Any, by: float) -> Any:
     return prims._replace(**{name: getattr(prims, name) * by for name in lengths & set(prims._fields)})
 
 
-def aim_at_triangles(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+def aim_at_triangles(rng: Rng, n: int) -> Aims:
     """Corners, midpoints of edges, inside; directions anywhere, along an axis, or in the triangle's plane."""
     v = 4.0 * whole(rng, n, 3, 3)
     flat = rng.random(n) < 0.3
@@ -117,7 +119,7 @@ def directions(rng: Rng, n: int, along: np.ndarray) -> np.ndarray:
     return np.where(sort == 0, d, np.where(sort == 1, axes, along))
 
 
-def aim_at_planes(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+def aim_at_planes(rng: Rng, n: int) -> Aims:
     normal, point = whole(rng, n, 3, size=9), whole(rng, n, 3)
     normal[(normal == 0.0).all(axis=1)] = 1.0
     across = np.cross(normal, whole(rng, n, 3, size=9))
@@ -137,7 +139,7 @@ def unit_aims(rng: Rng, n: int, p: np.ndarray, tangent: np.ndarray) -> tuple[np.
     return p[place], np.where(touching, tangent[place] * rng.choice([-1.0, 1.0, 2.0], (n, 1)), whole(rng, n, 3, size=4))
 
 
-def aim_at_spheres(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+def aim_at_spheres(rng: Rng, n: int) -> Aims:
     center, radius = whole(rng, n, 3), 5.0 * rng.integers(1, 30, n).astype(np.float64)
     radius[rng.random(n) < 0.02] = 0.0
     q, d = unit_aims(rng, n, BALL, BESIDE)
@@ -158,18 +160,14 @@ def through(m: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.rint(np.einsum("ijk,ik->ij", m, q))
 
 
-def aim_at_ellipsoids(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+def aim_at_images(kind: Any, points: np.ndarray, tangents: np.ndarray, rng: Rng, n: int) -> Aims:
+    """Images of the unit shape of a kind."""
     center, m = whole(rng, n, 3), matrices(rng, n)
-    q, d = unit_aims(rng, n, BALL, BESIDE)
-    return affine(Ellipsoids, center, m), center + through(m, q), through(m, d)
+    q, d = unit_aims(rng, n, points, tangents)
+    return affine(kind, center, m), center + through(m, q), through(m, d)
 
 
-def aim_at_outer_ellipsoids(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
-    prims, p, d = aim_at_ellipsoids(rng, n)
-    return OuterEllipsoids(*prims), p, d
-
-
-def aim_at_segments(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+def aim_at_segments(rng: Rng, n: int) -> Aims:
     """Half of them are cylinders with caps along z; at the ends, half-way and on the axis, tangent or anywhere."""
     start, axis, radius = 5.0 * whole(rng, n, 3), 2.0 * whole(rng, n, 3), 5.0 * rng.integers(1, 20, (n, 2))
     straight = rng.random(n) < 0.5
@@ -182,7 +180,7 @@ def aim_at_segments(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
     return RoundSegments(start, start + axis, radius.astype(np.float64)), np.rint(p), np.rint(5.0 * d)
 
 
-def aim_at_tubes(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+def aim_at_tubes(rng: Rng, n: int) -> Aims:
     """On the wall at, between and beyond the ends; directions across, along a tangent, parallel to the axis."""
     center, m = whole(rng, n, 3), matrices(rng, n)
     q, d = unit_aims(rng, n, CIRCLE, AROUND)
@@ -192,20 +190,14 @@ def aim_at_tubes(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
     return affine(Cylinders, center, m), center + through(m, q), through(m, d)
 
 
-def aim_at_disks(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
-    center, m = whole(rng, n, 3), matrices(rng, n)
-    q, d = unit_aims(rng, n, CIRCLE, AROUND)
-    return affine(Disks, center, m), center + through(m, q), through(m, d)
-
-
 AIMS = {
     "Triangles": aim_at_triangles,
     "Planes": aim_at_planes,
     "Spheres": aim_at_spheres,
-    "Ellipsoids": aim_at_ellipsoids,
+    "Ellipsoids": partial(aim_at_images, Ellipsoids, BALL, BESIDE),
     "Cylinders": aim_at_tubes,
-    "Disks": aim_at_disks,
-    "OuterEllipsoids": aim_at_outer_ellipsoids,
+    "Disks": partial(aim_at_images, Disks, CIRCLE, AROUND),
+    "OuterEllipsoids": partial(aim_at_images, OuterEllipsoids, BALL, BESIDE),
     "RoundSegments": aim_at_segments,
 }
 KINDS = tuple(AIMS)

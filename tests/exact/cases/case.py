@@ -41,6 +41,9 @@ class Question(NamedTuple):
     never: tuple[str, ...]
 
 
+Questions = Iterator[Question]
+
+
 class Maker:
     """Makes the questions of one case in one precision: the same numbers in every run."""
 
@@ -100,5 +103,5 @@ class Case:
 
     number: int  # its row in docs/internals/edge-cases.md
     name: str
-    questions: Callable[[Maker], Iterator[Question]]
+    questions: Callable[[Maker], Questions]
     every_shape: bool = False  # whether it is asked of every shape of the registry

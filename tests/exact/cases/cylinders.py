@@ -1,18 +1,16 @@
 """Cases 53 to 61: open tubes, round and elliptic."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from cases import integer_shapes
-from cases.case import Case, Maker, Question
+from cases.case import Case, Maker, Questions
 from cases.shapes import turn
 from caster import Cylinder
 
 TUBES = (integer_shapes.cylinder, integer_shapes.elliptic)
 
 
-def along_the_axis(make: Maker) -> Iterator[Question]:
+def along_the_axis(make: Maker) -> Questions:
     """From inside, at 10^-1 to 10^-7 (10^-12 in float64) to the axis, in tubes as long as it takes."""
     for angle in (1e-1, 1e-3, 1e-5, 1e-7 if make.single else 1e-12):
         for name, stretch in (("cylinder", [1.0, 1.0]), ("elliptic cylinder", [1.0, 0.3])):
@@ -28,7 +26,7 @@ def along_the_axis(make: Maker) -> Iterator[Question]:
                 yield make.ask(f"{name} at {angle:g}, {where}", [Cylinder(to_world=steps)], o, d, hit=10)
 
 
-def parallel(make: Maker) -> Iterator[Question]:
+def parallel(make: Maker) -> Questions:
     """Exactly: inside, outside, and within the wall. By the convention, all of them miss."""
     for each in integer_shapes.each(make.rng, TUBES, 3):
         m = each.shape.matrix[:3, :3]
@@ -42,7 +40,7 @@ def parallel(make: Maker) -> Iterator[Question]:
     yield make.ask("upright", [Cylinder()], o, (0.0, 0.0, 1.0), never=("hit",))
 
 
-def ends(make: Maker) -> Iterator[Question]:
+def ends(make: Maker) -> Questions:
     """At z = 0, -0, 1, one unit in the last place around them, and the smallest numbers around 0."""
     least = 2.0**-149 if make.single else 2.0**-1074
     for z, inside in (

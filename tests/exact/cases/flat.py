@@ -1,16 +1,14 @@
 """Cases 44 to 52: rectangles, disks and planes."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from cases import integer_shapes
-from cases.case import Case, Maker, Question
+from cases.case import Case, Maker, Questions
 from cases.shapes import turn
 from caster import Disk, Plane, Rectangle
 
 
-def borders(make: Maker) -> Iterator[Question]:
+def borders(make: Maker) -> Questions:
     """At the border, one unit in the last place beside it, at corners and on the diagonal; upright and turned."""
     one = [float(make.beside(1.0, step)) for step in (-1, 0, 1)]
     for x in one:
@@ -36,7 +34,7 @@ def borders(make: Maker) -> Iterator[Question]:
             )
 
 
-def rims(make: Maker) -> Iterator[Question]:
+def rims(make: Maker) -> Questions:
     """Of a disk at (1, 0), (0.6, 0.8) and the like, exactly and beside; turned, and elliptic."""
     for x, y in ((1.0, 0.0), (0.6, 0.8), (-0.8, 0.6), (0.28, -0.96)):
         for step in (-1, 0, 1):
@@ -50,7 +48,7 @@ def rims(make: Maker) -> Iterator[Question]:
             yield make.ask(f"turned, step {step}", [each.shape], make.beside(each.p[rows] - d, step), d, hit=1, miss=1)
 
 
-def horizon(make: Maker) -> Iterator[Question]:
+def horizon(make: Maker) -> Questions:
     """From 1 above, dipping by 10^-2 to 10^-8, and 10^-15 in float64."""
     dips = make.rounded(10.0 ** -np.arange(2.0, 9.0 if make.single else 16.0))
     for turned in (False, True):

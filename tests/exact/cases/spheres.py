@@ -6,12 +6,12 @@ import numpy as np
 from aimed_rays import decades, direction
 
 from cases import integer_shapes
-from cases.case import Case, Maker, Question
+from cases.case import Case, Maker, Questions
 from cases.shapes import CLOSED, KINDS, ROUND, Aim, across, every_kind, rays_at, shape_of, turn
 from caster import Cube, Cylinder, Sphere
 
 
-def distances(make: Maker) -> Iterator[Question]:
+def distances(make: Maker) -> Questions:
     """From 10 to 10^8 sizes away, through the middle and at rims."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
@@ -25,7 +25,7 @@ def through_the_origin(make: Maker, count: int, away: float = 2.0**10) -> tuple[
     return -away * d, d
 
 
-def tiny(make: Maker) -> Iterator[Question]:
+def tiny(make: Maker) -> Questions:
     """Sizes 1 to 10^-8 at a distance of 1000: only a normal from the closest approach is right."""
     for size in (1.0, 1e-2, 1e-4, 1e-6, 1e-8):
         o, d = through_the_origin(make, make.count(40))
@@ -41,7 +41,7 @@ def tiny(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{kind} of size {size:g}", scene, o, d, hit=0 if kind == "triangle" else 5)
 
 
-def huge(make: Maker) -> Iterator[Question]:
+def huge(make: Maker) -> Questions:
     """R = 10^3 to 10^8, passing at R (1 +- 10^-5) and nearer, started 3 R away."""
     for kind in ROUND:
         for size in (1e3, 1e5, 1e8):
@@ -74,7 +74,7 @@ def tangents(make: Maker) -> Iterator[tuple[integer_shapes.Whole, np.ndarray, np
         yield each, each.p[rows] - steps * d, d
 
 
-def tangent(make: Maker) -> Iterator[Question]:
+def tangent(make: Maker) -> Questions:
     for shape in (
         Sphere(),
         Sphere(to_world=[{"scale": [1.0, 3.0, 2.0]}]),
@@ -86,7 +86,7 @@ def tangent(make: Maker) -> Iterator[Question]:
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, tangent=15, exact=15, never=("miss",))
 
 
-def nearly_tangent(make: Maker) -> Iterator[Question]:
+def nearly_tangent(make: Maker) -> Questions:
     """One unit in the last place of one coordinate beside it."""
     for x in make.beside(1.0, -1), make.beside(1.0, 1):
         for shape in (Sphere(), Cylinder(to_world=[{"translate": [0, 0, -0.5]}])):
@@ -104,7 +104,7 @@ def nearly_tangent(make: Maker) -> Iterator[Question]:
         yield make.ask(f"{each.kind}, turned", [each.shape], moved, d, hit=2, miss=2)
 
 
-def inside(make: Maker) -> Iterator[Question]:
+def inside(make: Maker) -> Questions:
     """From the middle, from anywhere, and from 10^-2 to 10^-16 off the wall, outwards."""
     for kind in CLOSED:
         shape = shape_of(kind, make.rng)
@@ -120,7 +120,7 @@ def inside(make: Maker) -> Iterator[Question]:
         yield make.ask(kind, scene, start, d, hit=len(o) // 3)
 
 
-def on_the_surface(make: Maker) -> Iterator[Question]:
+def on_the_surface(make: Maker) -> Questions:
     """From a rounded point of the surface, and from an exact one, where t = 0 is no hit: outwards, inwards, along."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
@@ -133,7 +133,7 @@ def on_the_surface(make: Maker) -> Iterator[Question]:
         yield make.ask(f"{each.kind}, exact", [each.shape], each.p[rows], d * integer_shapes.UNIT, exact=5, miss=5)
 
 
-def lengths(make: Maker) -> Iterator[Question]:
+def lengths(make: Maker) -> Questions:
     """|d| from 10^-30 to 10^30, in float64 from 10^-290 to 10^290."""
     ends = (1e-30, 1e30) if make.single else (1e-290, 1e290)
     for kind, shape in every_kind(make.rng):
@@ -142,7 +142,7 @@ def lengths(make: Maker) -> Iterator[Question]:
         yield make.ask(kind, scene, o, d * decades(make.rng, *ends, len(d))[:, None], hit=15)
 
 
-def offsets(make: Maker) -> Iterator[Question]:
+def offsets(make: Maker) -> Questions:
     """Around (K, K, K), K = 10^2 to 10^8, and 10^15 in float64."""
     for offset in (1e2, 1e5, 1e7, 1e8 if make.single else 1e15):
         for kind, shape in every_kind(make.rng, 1.0, np.full(3, offset)):
@@ -151,7 +151,7 @@ def offsets(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if offset > 1e6 else 4)
 
 
-def scales(make: Maker) -> Iterator[Question]:
+def scales(make: Maker) -> Questions:
     """Everything of one size, seen from some sizes away; faces reach up to where they are left out."""
     for size in (1e-30, 1e-15, 1e-5, 1e8, 1e17):
         for kind in KINDS:
@@ -160,7 +160,7 @@ def scales(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{kind} of size {size:g}", scene, o, d, hit=3)
 
 
-def radii(make: Maker) -> Iterator[Question]:
+def radii(make: Maker) -> Questions:
     """Down to the smallest numbers there are."""
     for r in (1e-38, 2.0**-149, *(() if make.single else (1e-300, 2.0**-1074))):
         for kind, shape in (("sphere", Sphere(radius=r)), ("cylinder", Cylinder(radius=max(r, 1e-300), p0=(0, 0, -1)))):
@@ -172,7 +172,7 @@ def radii(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{kind} of radius {r:g}, passed", [shape], aside, d)
 
 
-def concentric(make: Maker) -> Iterator[Question]:
+def concentric(make: Maker) -> Questions:
     """Two shapes in one place, one of them larger by a unit in the last place: order is decided exactly."""
     up = float(make.beside(1.0, 1))
     rays = make.count(80)

@@ -1,17 +1,15 @@
 """Cases 15 to 28: triangles, closed meshes, slivers, and rays nearly edge-on."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from aimed_rays import direction
 
 from cases import integer_shapes
-from cases.case import Case, Maker, Question
+from cases.case import Case, Maker, Questions
 from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
 from caster import Heightfield, Triangle
 
 
-def lattice(make: Maker) -> Iterator[Question]:
+def lattice(make: Maker) -> Questions:
     """Corners, edges and diagonals of a flat grid of eighths, from whole places: exact for everybody."""
     scene = make.scene([Heightfield(size=4.0, resolution=32, amplitude=0.0)])
     count = make.count(150)
@@ -27,7 +25,7 @@ def lattice(make: Maker) -> Iterator[Question]:
 THIN = ("triangle", "rectangle", "cube", "disk", "sphere", "cylinder", "mesh")
 
 
-def slivers(make: Maker) -> Iterator[Question]:
+def slivers(make: Maker) -> Questions:
     """Of height 10^-1 to 10^-12 (10^-14 in float64), turned, from 5 away."""
     for height in (1e-1, 1e-3, 1e-6, 1e-9, 1e-12 if make.single else 1e-14):
         for kind in THIN:
@@ -39,7 +37,7 @@ def slivers(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{kind} of height {height:g}", scene, o, d, hit=6)
 
 
-def without_area(make: Maker) -> Iterator[Question]:
+def without_area(make: Maker) -> Questions:
     """Corners in a line, in one point, or the same corner twice, exactly; between faces that are there."""
     for _ in range(4):
         a, v = integer_shapes.whole(make.rng, 2, 3)
@@ -68,7 +66,7 @@ def without_area(make: Maker) -> Iterator[Question]:
         )
 
 
-def nearly_in_a_line(make: Maker) -> Iterator[Question]:
+def nearly_in_a_line(make: Maker) -> Questions:
     """0, 1/3 and 1 along a turned line: what is left of an area is rounding."""
     for _ in range(6):
         a, v = make.rng.normal(size=(2, 3))
@@ -79,7 +77,7 @@ def nearly_in_a_line(make: Maker) -> Iterator[Question]:
         yield make.ask("a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, miss=10, exact=0 if make.single else 3)
 
 
-def in_an_axis_line(make: Maker) -> Iterator[Question]:
+def in_an_axis_line(make: Maker) -> Questions:
     """Three corners that share two decimals: exactly in a line, though no number is round."""
     x, z = make.rounded([-1113.45459, -56.2431908])
     for _ in range(4):
@@ -92,7 +90,7 @@ def in_an_axis_line(make: Maker) -> Iterator[Question]:
         yield make.ask("along it", [mesh_of(corners, [[0, 1, 2]])], along, (0.0, -1.0, 0.0), never=("hit",))
 
 
-def in_the_plane(make: Maker) -> Iterator[Question]:
+def in_the_plane(make: Maker) -> Questions:
     """Along the surface, from a point of its plane or parallel above it: no hit, as edge-on is a miss by convention."""
     flat = (integer_shapes.triangle, integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane)
     for each in integer_shapes.each(make.rng, flat, 2):
@@ -108,7 +106,7 @@ def in_the_plane(make: Maker) -> Iterator[Question]:
     yield make.ask("along a cube's sides", [cube.shape], cube.p - 3.0 * d, d, exact=20)
 
 
-def upright_grazing(make: Maker) -> Iterator[Question]:
+def upright_grazing(make: Maker) -> Questions:
     """Across an axis: slopes of 10^-2 down to the smallest number."""
     corners = [[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [0.0, 3.0, 0.0]]
     least = 2.0**-149 if make.single else 2.0**-1074
@@ -122,7 +120,7 @@ def upright_grazing(make: Maker) -> Iterator[Question]:
         yield make.ask(type(shape).__name__.lower(), [shape], o, d, hit=30)
 
 
-def skinny(make: Maker) -> Iterator[Question]:
+def skinny(make: Maker) -> Questions:
     """Edges of 11, 10 and 2, 50 to 600 away, at 0.1 degrees and less."""
     h = float.fromhex
     kept = Triangle(
