@@ -75,7 +75,7 @@ def verdicts() -> dict[str, SceneVerdict]:
     with pytest.MonkeyPatch.context() as patch:
         bad = planted.bad(patch)
     crashed = SceneVerdict("crashed", "scenes/crashed.toml", 480, problem="Mitsuba ended (SIGSEGV): <b>words</b>")
-    return {"good": planted.good(), "bad": bad, "crashed": crashed}
+    return {"good": planted.judged("good"), "bad": bad, "crashed": crashed}
 
 
 @pytest.fixture(scope="session")
