@@ -29,6 +29,15 @@ def printed_by(*words: str | Path, cwd: Path = ROOT, **variables: str) -> str:
     return done.stdout
 
 
+def install(folder: Path, name: str, **modules: str) -> None:
+    """A distribution in `folder`, which names modules as the plug-ins of packages."""
+    about = folder / f"{name}-1.0.dist-info"
+    about.mkdir(exist_ok=True)
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    groups = (f"[{package}.plugins]\n{name} = {module}\n" for package, module in modules.items())
+    (about / "entry_points.txt").write_text("".join(groups))
+
+
 def run_program(path: Path, folder: Path) -> str:
     """What the program prints in `folder`; it has to end with exit code 0."""
     if "import pytest" in path.read_text():

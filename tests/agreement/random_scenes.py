@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pytest
 
 from caster.cameras import CAMERAS
 from caster.description.fields import Camera, Shape
@@ -89,3 +90,6 @@ def random_scene(
 def name(cls: type[Shape] | type[Camera]) -> str:
     """The name of a registered kind, for the ids of tests."""
     return str(cls.model_fields["type"].default)
+
+
+in_each_view = pytest.mark.parametrize("camera", VIEWS, ids=name)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from random_scenes import KINDS, VIEWS, name, random_scene
+from random_scenes import KINDS, VIEWS, in_each_view, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
@@ -27,7 +27,7 @@ def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
     return int(expected.hit.sum()), expected.hit.size
 
 
-@pytest.mark.parametrize("camera", VIEWS, ids=name)
+@in_each_view
 @pytest.mark.parametrize("shape", KINDS, ids=name)
 @pytest.mark.slow("every kind before every camera", every=2)
 def test_culling_never_changes_a_bit(shape, camera):
@@ -42,7 +42,7 @@ def test_culling_never_changes_a_bit(shape, camera):
     assert hits >= 100 and misses >= 100, f"{hits} hits of {rays} rays prove little"
 
 
-@pytest.mark.parametrize("camera", VIEWS, ids=name)
+@in_each_view
 def test_culling_never_changes_a_bit_where_all_kinds_are_mixed(camera):
     rng = np.random.default_rng([2, VIEWS.index(camera)])
     kinds = set()
@@ -53,7 +53,7 @@ def test_culling_never_changes_a_bit_where_all_kinds_are_mixed(camera):
     assert len(kinds) >= len(SHAPES) // 2, f"only {len(kinds)} kinds are seen"
 
 
-@pytest.mark.parametrize("camera", VIEWS, ids=name)
+@in_each_view
 def test_a_crop_is_that_part_of_the_whole_image_in_every_culling(camera):
     rng = np.random.default_rng([4, VIEWS.index(camera)])
     scene = random_scene(rng, SHAPES, camera, count=2)

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import compiled_only
 
 from caster.jit.decorators import jit
-from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
 from caster.kernels.bvh.traversal import packet_bounds
 from caster.kernels.raster import tile as tiles
 from caster.kernels.raster.tile_casting import any_pixel_visible, bounds_in_tile, max_visible_t
 
-pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+pytestmark = compiled_only
 
 
 def some_tile(rng: np.random.Generator) -> np.ndarray:

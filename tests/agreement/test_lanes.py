@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import compiled_only
 from same_bits import bits
 
 from caster.jit import simd
@@ -16,7 +17,6 @@ from caster.kernels.math.vec import TINY
 
 # NumPy's scalars warn of an overflow, machine code does not
 pytestmark = [] if COMPILED else pytest.mark.filterwarnings("ignore::RuntimeWarning")
-compiled_only = pytest.mark.skipif(not COMPILED, reason="without Numba there is only the plain text")
 
 
 def wide(rng, *shape):

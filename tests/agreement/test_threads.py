@@ -1,9 +1,8 @@
 """The number of threads changes no bit."""
 
 import numpy as np
-import pytest
 from hard_rays import hard_rays
-from random_scenes import VIEWS, name, random_scene
+from random_scenes import VIEWS, in_each_view, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
@@ -26,7 +25,7 @@ def count_hits_where_threads_agree(scene: Scene, culling: str | None = None) -> 
     return int(expected.hit.sum())
 
 
-@pytest.mark.parametrize("camera", VIEWS, ids=name)
+@in_each_view
 def test_threads_never_change_a_bit(camera):
     rng = np.random.default_rng([20, VIEWS.index(camera)])
     for culling in (None, "bvh", "brute-force"):

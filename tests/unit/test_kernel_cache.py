@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import compiled_only
 from places import ROOT
 from programs import printed_by, python
 
@@ -16,7 +17,7 @@ from caster.jit.arguments import describe, key_text
 from caster.jit.decorators import COMPILATION_LOG, jit
 from caster.jit.kernel_cache import COMPILED, claim, read_sealed, write_sealed
 
-pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+pytestmark = compiled_only
 
 # Two small kernels of the caster, so that little is compiled: one that answers nothing, one that allocates.
 SMALL = """

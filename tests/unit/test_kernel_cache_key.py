@@ -4,11 +4,12 @@ import os
 from typing import Any
 
 import pytest
+from marks import compiled_only
 
 from caster.jit import code_digest as digests
 from caster.jit import decorators, kernel_cache, machine_code
 from caster.jit.arguments import describe
-from caster.jit.kernel_cache import COMPILED, compiler_version
+from caster.jit.kernel_cache import compiler_version
 
 # Two kinds with a body each for one function of the protocol, and a kernel that reaches it for the class it is given.
 SOURCE = '''
@@ -125,7 +126,7 @@ def test_another_class_is_another_name():
     assert digest(SOURCE, "Circles") != digest(SOURCE, "Squares")
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+@compiled_only
 def test_signature_options_target_and_this_package_are_part_of_the_name(monkeypatch):
     """Each alone gives the file another name."""
     from caster.kernels.raster.tile import clear_rays, new_tile
@@ -156,7 +157,7 @@ def test_every_source_of_this_package_is_part_of_its_digest(tmp_path, monkeypatc
     assert len(found) == 4
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+@compiled_only
 @pytest.mark.parametrize("library", kernel_cache.COMPILERS)
 def test_another_version_of_the_compiler_is_another_target(library, tmp_path, monkeypatch):
     describe, find = machine_code.target_description.__wrapped__, kernel_cache.find_spec
@@ -170,7 +171,7 @@ def test_another_version_of_the_compiler_is_another_target(library, tmp_path, mo
     assert "another" in compiler_version() and describe() != before
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+@compiled_only
 def test_processor_versions_and_settings_are_part_of_the_target(monkeypatch):
     """Each alone gives another description of the target, which the name of every kernel's file is made of."""
     import llvmlite.binding as llvm

@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from marks import compiled_only
 from programs import printed_by
 
 from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
 from caster.cameras import Ray
 from caster.cli.inspection import account
-from caster.jit.kernel_cache import COMPILED
 from caster.rendering.images import render_film, trace_film
 from caster.scene.model import Ambient, Directional, Point
 
@@ -100,12 +100,11 @@ def test_what_lies_behind_or_beside_is_not_looked_for(camera):
     assert kind["count"] == 36 and 4 <= kind["looked_for"] <= 12  # faces of the first cube; some show no pixel centre
 
 
-def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(LONELY)
+def test_the_account_is_the_same_in_words_and_as_json(here, capsys):
+    (here / "s.toml").write_text(LONELY)
     assert main(["render", "s.toml", "--aov", "depth,normal", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48
+    assert (here / data["output"]).exists() and data["camera_rays"]["cast"] == 48
     assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
     words = capsys.readouterr().out
     assert f"\nculling              {data['culling']}\n" in words
@@ -124,7 +123,7 @@ type = "sphere"
 """
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba there are no compiled kernels to count")
+@compiled_only
 def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tmp_path):
     (tmp_path / "s.toml").write_text(LONELY)
     command = ["-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
@@ -162,7 +161,7 @@ print(machine_code.is_supported(), len(kernels) > 100 and slowly)
 """
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+@compiled_only
 def test_no_kernel_of_a_render_or_a_cast_needs_numba_to_be_called():
     """Regression: for a flag among the arguments Numba was loaded, and each call took 0.13 ms."""
     usable, _, slowly = printed_by("-c", EVERYTHING_ASKED).strip().partition(" ")

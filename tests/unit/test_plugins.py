@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from coin_scenes import COINS, LAMP, PINHOLE, PLACES
-from programs import python
+from programs import install, python
 
 import caster
 from caster.cameras import CAMERAS
@@ -90,20 +90,13 @@ def command(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return python("-P", "-m", "caster", *words, cwd=folder, PYTHONPATH=paths, CASTER_JIT="0")
 
 
-def install(folder: Path, module: str) -> None:
-    """An installed distribution that names a module as a plug-in."""
-    (folder / "coins-1.0.dist-info").mkdir()
-    (folder / "coins-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: coins\nVersion: 1.0\n")
-    (folder / "coins-1.0.dist-info/entry_points.txt").write_text(f"[caster.plugins]\ncoins = {module}\n")
-
-
 def test_the_commands_load_the_plugins_of_installed_distributions(tmp_path):
     scene = "[film]\nwidth = 6\nheight = 5\n" + SCANNER.replace("0.25", "1") + COINS
     (tmp_path / "coins.toml").write_text(scene)
     unknown = command(tmp_path, "check", "coins.toml")
     assert unknown.returncode == 2 and 'unknown camera type "scanner"' in unknown.stdout
     shutil.copy(PLUGIN, tmp_path)
-    install(tmp_path, "coin_plugin")
+    install(tmp_path, "coins", caster="coin_plugin")
     rendered = command(tmp_path, "render", "coins.toml", "-o", "out.exr")
     assert (rendered.returncode, rendered.stderr) == (0, "")
     assert np.unique(read_exr(tmp_path / "out.exr").channels["A"]).tolist() == [0.0, 1.0]
@@ -111,7 +104,7 @@ def test_the_commands_load_the_plugins_of_installed_distributions(tmp_path):
 
 def test_a_plugin_that_cannot_be_loaded_is_named(tmp_path):
     (tmp_path / "scene.toml").write_text(PINHOLE)
-    install(tmp_path, "no_such_module")
+    install(tmp_path, "coins", caster="no_such_module")
     failed = command(tmp_path, "check", "scene.toml")
     assert failed.returncode != 0
     assert "plug-in coins of coins (no_such_module): No module named 'no_such_module'" in failed.stderr

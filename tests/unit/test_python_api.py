@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from places import read_back
 
 import caster
 from caster.description.errors import SceneError
-from caster.scene.files import scene_from_text
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -44,11 +44,7 @@ def test_a_mesh_from_arrays_is_the_mesh_of_a_file(tmp_path):
 def test_a_scene_with_arrays_is_written_with_all_digits_and_loads_again():
     scene = scene_of(caster.Mesh(CORNERS, FACES, NORMALS, UV, name="pyramid"), caster.Sphere())
     caster.render(scene)  # cached data does not count
-    for again in (
-        scene_from_text(scene.to_toml()),
-        scene_from_text(scene.canonical_json(), "json"),
-        pickle.loads(pickle.dumps(scene)),
-    ):
+    for again in read_back(scene):
         caster.render(again)
         assert again == scene and again.sha256() == scene.sha256()
         assert np.array_equal(again.shapes[0].mesh().vertices, CORNERS)

@@ -1,9 +1,8 @@
 """Sphere clouds: the bits of single spheres, files, and errors."""
 
-import pickle
-
 import numpy as np
 import pytest
+from places import read_back
 from ply_files import ply
 
 import caster
@@ -75,11 +74,7 @@ def test_clouds_survive_text_and_pickle(tmp_path):
     )
     scene = scene_from_text(text, folder=tmp_path)
     assert scene.shapes[1].centers == ((1.0, 2.0, 1.5), (0.1, 0.0, 3.0))
-    for again in (
-        scene_from_text(scene.to_toml(), folder=tmp_path),
-        scene_from_text(scene.canonical_json(), "json", folder=tmp_path),
-        pickle.loads(pickle.dumps(scene)),
-    ):
+    for again in read_back(scene, tmp_path):
         assert again == scene and again.sha256() == scene.sha256()
     before = scene.sha256()
     write_ply(tmp_path / "a.ply", centers, 2.0 * radii)

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import pytest
+from marks import compiled_only
 from programs import printed_by
 
 from caster.__main__ import main
@@ -13,7 +14,6 @@ from caster.cameras import CAMERAS
 from caster.cli import application
 from caster.geometry.packing import pack
 from caster.jit import decorators
-from caster.jit.kernel_cache import COMPILED
 from caster.kernels.protocol import intersect
 from caster.rendering import warm_up
 from caster.scene.model import LIGHTS
@@ -45,7 +45,7 @@ def little(monkeypatch):
     monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
 
 
-@pytest.mark.skipif(not decorators.COMPILED, reason="without Numba nothing is compiled")
+@compiled_only
 def test_what_was_done_is_reported(little, capsys):
     assert main(["doctor", "--warm", SCENE]) == 0
     told = capsys.readouterr()
@@ -106,7 +106,7 @@ print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 ONE_BY_ONE = {"hit_precedes"}
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+@compiled_only
 @pytest.mark.slow("every kernel is loaded")
 def test_every_kernel_that_rendering_calls_is_warmed():
     """Whatever is imported by a module of caster/rendering, in a process of its own."""
