@@ -74,6 +74,9 @@ def test_provenance_lives_under_caster(tmp_path):
     assert read_exr(tmp_path / "a.exr").provenance == expected
 
 
+SQUARE = {"Z": np.zeros((2, 2))}
+
+
 @pytest.mark.parametrize(
     ("channels", "options", "words"),
     [
@@ -84,12 +87,12 @@ def test_provenance_lives_under_caster(tmp_path):
         ({"Z": np.zeros((2, 2), np.int32)}, {}, ["'Z'", "uint32", "int32"]),
         ({"": np.zeros((2, 2))}, {}, ["channel name ''"]),
         ({"x" * 256: np.zeros((2, 2))}, {}, ["channel name", "255"]),
-        ({"Z": np.zeros((2, 2))}, {"provenance": {"n": 3}}, ["caster/n", "string", "3"]),
-        ({"Z": np.zeros((2, 2))}, {"provenance": {"k" * 250: "v"}}, ["provenance name", "255"]),
-        ({"Z": np.zeros((2, 2))}, {"data_window": (0, 0, 3, 2)}, ["(0, 0, 3, 2)", "2 x 2"]),
-        ({"Z": np.zeros((2, 2))}, {"data_window": (2, 0, 0, 2)}, ["data_window", "(2, 0, 0, 2)"]),
-        ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 0, 2)}, ["display_window"]),
-        ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 2, 2**31)}, ["display_window", "2^30"]),
+        (SQUARE, {"provenance": {"n": 3}}, ["caster/n", "string", "3"]),
+        (SQUARE, {"provenance": {"k" * 250: "v"}}, ["provenance name", "255"]),
+        (SQUARE, {"data_window": (0, 0, 3, 2)}, ["(0, 0, 3, 2)", "2 x 2"]),
+        (SQUARE, {"data_window": (2, 0, 0, 2)}, ["data_window", "(2, 0, 0, 2)"]),
+        (SQUARE, {"display_window": (0, 0, 0, 2)}, ["display_window"]),
+        (SQUARE, {"display_window": (0, 0, 2, 2**31)}, ["display_window", "2^30"]),
     ],
 )
 def test_what_an_exr_cannot_hold_is_an_error_that_states_it(tmp_path, channels, options, words):
@@ -111,8 +114,7 @@ def test_a_finite_value_beyond_float32_is_named_with_its_film_pixel(tmp_path):
 
 
 @pytest.mark.parametrize("target", ["/dev/null", "."])
-def test_a_device_or_folder_is_never_replaced(tmp_path, monkeypatch, target):
-    monkeypatch.chdir(tmp_path)
+def test_a_device_or_folder_is_never_replaced(here, target):
     with pytest.raises(OutputError, match="expected a file"):
         write_exr(target, {"Z": ramp()})
     assert not os.path.isfile(target)

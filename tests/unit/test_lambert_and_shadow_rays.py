@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from aimed_rays import direction
 from places import scene_of
 
 from mitsuba_ref.error_model import lambert
@@ -29,11 +30,10 @@ REFLECTANCE = np.array([material["reflectance"] for material in MATERIALS.values
 
 
 def units(rng: np.random.Generator) -> np.ndarray:
-    v = rng.normal(size=(COUNT, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
+    return direction(rng, COUNT)
 
 
-def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float) -> ShadingPoints:
+def hits(p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float) -> ShadingPoints:
     flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
     errors = np.full(COUNT, sh_error)
     at = without_edges(flat, flat, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat)
@@ -41,7 +41,7 @@ def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh
 
 
 def some(rng: np.random.Generator, p_error: float = 0.0, sh_error: float = 0.0) -> ShadingPoints:
-    return hits(rng, rng.uniform(-1.0, 1.0, (COUNT, 3)), 3.0 * units(rng), units(rng), p_error, sh_error)
+    return hits(rng.uniform(-1.0, 1.0, (COUNT, 3)), 3.0 * units(rng), units(rng), p_error, sh_error)
 
 
 def radiance(light: dict[str, Any], material: dict[str, Any], p: Any, d: Any, n: Any) -> list[float]:
@@ -85,7 +85,7 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
     used = np.zeros(COUNT)
     for _ in range(10):
         n = hit.at.sh_n + error * units(rng)
-        moved = hits(rng, hit.p + error * units(rng), hit.d, n, 0.0, 0.0)
+        moved = hits(hit.p + error * units(rng), hit.d, n, 0.0, 0.0)
         change = np.abs(light_contribution(SCENE.lights[light], moved, KU).radiance - found.radiance)
         sure = ~found.doubtful  # where either side may be seen, the judge tries both
         with np.errstate(invalid="ignore"):
@@ -109,9 +109,7 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
 def test_the_bound_at_its_limits(n, d, p_error, error, doubtful):
     """A light of flux pi at a distance of 1, above; sh_error is 1/4."""
     light = SCENE.lights[0].model_copy(update={"position": (0.0, 0.0, 1.0), "intensity": (math.pi,) * 3})
-    hit = hits(
-        np.random.default_rng(0), np.zeros((COUNT, 3)), np.tile(d, (COUNT, 1)), np.tile(n, (COUNT, 1)), p_error, 0.25
-    )
+    hit = hits(np.zeros((COUNT, 3)), np.tile(d, (COUNT, 1)), np.tile(n, (COUNT, 1)), p_error, 0.25)
     white = hit._replace(reflectance=np.ones((COUNT, 3)), two_sided=np.zeros(COUNT, bool))
     found = light_contribution(light, white, KU)
     assert np.all(found.error == pytest.approx(error, rel=1e-14)) and (found.doubtful == doubtful).all()

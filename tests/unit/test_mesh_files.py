@@ -28,6 +28,17 @@ def load(tmp_path):
     return load_as
 
 
+@pytest.fixture
+def refused(load):
+    """The file is an error that says so."""
+
+    def refused_as(name, data, words):
+        with pytest.raises(SceneError, match=words):
+            load(name, data)
+
+    return refused_as
+
+
 # ---- OBJ
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -127,9 +138,8 @@ BROKEN_OBJ = [
 
 
 @pytest.mark.parametrize(("text", "words"), BROKEN_OBJ)
-def test_a_broken_obj_is_an_error_with_its_line(load, text, words):
-    with pytest.raises(SceneError, match=r"a\.obj" + words):
-        load("a.obj", text)
+def test_a_broken_obj_is_an_error_with_its_line(refused, text, words):
+    refused("a.obj", text, r"a\.obj" + words)
 
 
 # ---- PLY
@@ -214,15 +224,14 @@ def test_any_line_ending_will_do_in_the_header(load, encoding, newline):
     assert np.array_equal(mesh.faces, TRIANGLES) and mesh.vertices[0, 0] == x
 
 
-def test_a_truncated_ply_is_an_error_at_every_byte(load, encoding):
+def test_a_truncated_ply_is_an_error_at_every_byte(refused, encoding):
     """Down to the last number of ascii, which may lose digits and stay a number."""
     whole = square(encoding)
     for length in range(1, len(whole) - (2 if encoding == "ascii" else 0)):
-        with pytest.raises(SceneError, match=r"a\.ply:"):
-            load("a.ply", whole[:length])
+        refused("a.ply", whole[:length], r"a\.ply:")
 
 
-def test_truncation_states_how_much_is_there_and_takes_no_memory(load):
+def test_truncation_states_how_much_is_there_and_takes_no_memory(refused):
     data = square("binary_little_endian")
     for broken, words in (
         (data[:-1], "expected 2 rows of element 'face', got 1 whole ones"),
@@ -231,23 +240,20 @@ def test_truncation_states_how_much_is_there_and_takes_no_memory(load):
         (data.replace(b"vertex 4", b"vertex 4000000000000"), "expected 4000000000000 rows"),
         (data.replace(b"list uchar", b"list uint "), "expected 2 rows of element 'face'"),
     ):
-        with pytest.raises(SceneError, match=f"truncated: {words}"):
-            load("a.ply", broken)
-    with pytest.raises(SceneError, match="expected the end of the file after the last element, got 1 more bytes"):
-        load("a.ply", data + b"\n")
-    with pytest.raises(SceneError, match=r"row 0 of element 'face': expected a length >= 0 .*'vertex_indices', got -1"):
-        signed = square("binary_big_endian", [(0, 1, 2)]).replace(b"uchar int", b"char int")
-        load("a.ply", signed[:-13] + b"\xff" + signed[-12:])
+        refused("a.ply", broken, f"truncated: {words}")
+    refused("a.ply", data + b"\n", "expected the end of the file after the last element, got 1 more bytes")
+    signed = square("binary_big_endian", [(0, 1, 2)]).replace(b"uchar int", b"char int")
+    negative = r"row 0 of element 'face': expected a length >= 0 .*'vertex_indices', got -1"
+    refused("a.ply", signed[:-13] + b"\xff" + signed[-12:], negative)
 
 
 @pytest.mark.parametrize("index", [4, -1, 2**31 - 1])
-def test_an_index_out_of_range_is_an_error_that_names_the_polygon(load, encoding, index):
+def test_an_index_out_of_range_is_an_error_that_names_the_polygon(refused, encoding, index):
     where = ":15" if encoding == "ascii" else ""
-    with pytest.raises(SceneError, match=rf"a\.ply{where}: face 1 must join vertices 0 to 3 \(the file has 4\), got "):
-        load("a.ply", square(encoding, [(0, 1, 2, 3), (0, 1, index)]))
+    words = rf"a\.ply{where}: face 1 must join vertices 0 to 3 \(the file has 4\), got "
+    refused("a.ply", square(encoding, [(0, 1, 2, 3), (0, 1, index)]), words)
     faces = ("face", ["list uchar uint vertex_index"], [((0, 1, 0xFFFFFFFF),)])
-    with pytest.raises(SceneError, match=r"face 0 .*got 4\.29497e\+09"):  # which is no -1
-        load("a.ply", ply(encoding, ("vertex", XYZ, POINTS), faces))
+    refused("a.ply", ply(encoding, ("vertex", XYZ, POINTS), faces), r"face 0 .*got 4\.29497e\+09")  # which is no -1
 
 
 @pytest.mark.parametrize(
@@ -274,9 +280,8 @@ def test_an_index_out_of_range_is_an_error_that_names_the_polygon(load, encoding
         ),
     ],
 )
-def test_what_a_mesh_needs_must_be_there(load, encoding, elements, words):
-    with pytest.raises(SceneError, match=words):
-        load("a.ply", ply(encoding, *elements))
+def test_what_a_mesh_needs_must_be_there(refused, encoding, elements, words):
+    refused("a.ply", ply(encoding, *elements), words)
 
 
 def test_a_vertex_that_is_not_finite_is_kept_for_its_faces_to_be_left_out(load, encoding):
@@ -305,11 +310,10 @@ BROKEN_PLY = [
 
 
 @pytest.mark.parametrize(("old", "new", "words"), BROKEN_PLY)
-def test_a_broken_ascii_ply_is_an_error_with_its_line(load, old, new, words):
+def test_a_broken_ascii_ply_is_an_error_with_its_line(refused, old, new, words):
     whole = square()
     assert whole.count(old) == 1
-    with pytest.raises(SceneError, match=r"a\.ply" + words):
-        load("a.ply", whole.replace(old, new))
+    refused("a.ply", whole.replace(old, new), r"a\.ply" + words)
 
 
 # ---- OFF and STL
@@ -384,9 +388,8 @@ def test_facets_of_an_stl_have_three_vertices_each_in_their_order_and_no_normals
         ("a.3ds", b"M", "unknown mesh format '.3ds': expected .obj, .ply, .stl, .off, .glb or .gltf"),
     ],
 )
-def test_a_broken_file_of_another_format_is_an_error_with_its_reason(load, name, data, words):
-    with pytest.raises(SceneError, match=f"{name}: ({words})"):
-        load(name, data)
+def test_a_broken_file_of_another_format_is_an_error_with_its_reason(refused, name, data, words):
+    refused(name, data, f"{name}: ({words})")
 
 
 # ---- glTF

@@ -41,21 +41,25 @@ BOUND_MARGIN_PIXELS = 2.0**-10  # pixels, as in screen_bounds.py: what roundings
 COUNT = 400
 
 
+def film_rays(camera: Any, rng: np.random.Generator, scale: int = 1) -> Any:
+    """(film position, origin, direction, distance) of rays, on a film that is so many times as large."""
+    for _ in range(COUNT):
+        x, y = rng.uniform(0.0, scale * WIDTH), rng.uniform(0.0, scale * HEIGHT)
+        o, d, _, t_max = camera_ray(camera, x, y)
+        if t_max >= 0.0:
+            yield (x, y), np.array(o), np.array(d), 10.0 ** rng.uniform(-2, 2)
+
+
 def met_balls(camera: Any, rng: np.random.Generator, reach: float) -> Any:
     """(film position, centre, radius) of spheres that the ray there hits, most of them near their rim.
 
     reach: radii are up to so many times the distance.
     """
-    for _ in range(COUNT):
-        x, y = rng.uniform(0.0, WIDTH), rng.uniform(0.0, HEIGHT)
-        o, d, _, t_max = camera_ray(camera, x, y)
-        if t_max < 0.0:
-            continue
-        t = 10.0 ** rng.uniform(-2, 2)
+    for at, o, d, t in film_rays(camera, rng):
         r = t * reach * rng.uniform(0.01, 1.0)
         side = np.cross(d, rng.normal(size=3))
         aside = side / np.linalg.norm(side) * r * (1.0 - 1e-9)
-        yield (x, y), tuple(np.array(o) + t * np.array(d) + aside), r
+        yield at, tuple(o + t * d + aside), r
 
 
 def overlap(camera: Any, rng: np.random.Generator, reach: float) -> np.ndarray:
@@ -127,20 +131,15 @@ def fields(tile: np.ndarray, box: Any, field: Any) -> np.ndarray:
 def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
     """How far rays through edges of small triangles pass from the line through their ends, over what `bent` allows."""
     found = []
-    for _ in range(COUNT):
-        x, y = rng.uniform(0.0, FINE * WIDTH), rng.uniform(0.0, FINE * HEIGHT)
-        o, d, _, t_max = camera_ray(camera, x, y)
-        if t_max < 0.0:
-            continue
-        t = 10.0 ** rng.uniform(-2, 2)
+    for at, o, d, t in film_rays(camera, rng, FINE):
         along = t * 10.0 ** rng.uniform(-2, -1.4) * rng.normal(size=3)
         across = along + 1e-6 * t * rng.normal(size=3)  # a needle: of what is allowed, others need less
-        corners = np.array(o) + t * np.array(d) + [along, -rng.uniform(0.8, 1.2) * along, across]
+        corners = o + t * d + [along, -rng.uniform(0.8, 1.2) * along, across]
         seen = np.array([project(camera, tuple(p)) for p in corners])
         more, share, valid = distortion_bound(camera, math.hypot(*np.ptp(seen[:, :2], axis=0)))
         if valid and seen[:, 4].all():
             start, end = seen[0, :2], seen[1, :2]
-            edge, aside = end - start, (x, y) - start
+            edge, aside = end - start, at - start
             off = abs(edge[0] * aside[1] - edge[1] * aside[0]) / math.hypot(*edge)
             found.append(off / (more + BOUND_MARGIN_PIXELS))
             assert seen[:, 3].min() * share <= t * (1.0 + 1e-12)

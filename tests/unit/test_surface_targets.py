@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from places import scene_of
+from triangle_soup import triangle_soup
 
 import caster
 from caster.geometry.packing import Triangles, pack
@@ -136,9 +137,7 @@ def test_random_fields_describe_a_shape_and_are_of_the_lattice_where_it_says_so(
 )
 def test_a_t_is_beyond_the_corners_of_a_triangle_before_the_nearest_or_behind_the_farthest(t, beyond):
     """Corners at t = 2, 3 and 4 of a ray of length 2; 1e-6 beyond them is rounding."""
-    prims = Triangles(
-        np.array([[5.0, 0, 2], [-1, 7, 4], [2, -3, 6]]), np.array([[0, 1, 2]]), *([None] * (len(Triangles._fields) - 2))
-    )
+    prims = triangle_soup(np.array([[5.0, 0, 2], [-1, 7, 4], [2, -3, 6]]))
     o, d = np.array([7.0, 0.0, -2.0]), np.array([0.0, 0.0, 2.0])
     for off in (0.0, 1e-6, -1e-6):
         assert view_triangle(prims, 0, o, d, t + off).beyond_corners is beyond
@@ -146,8 +145,7 @@ def test_a_t_is_beyond_the_corners_of_a_triangle_before_the_nearest_or_behind_th
 
 def test_a_triangle_is_as_slender_as_its_height_over_its_longest_edge():
     corners = np.array([[0.0, 0, 0], [4, 0, 0], [1, 0.5, 0], [2, 0, 0], [0, 0, 0]])
-    faces = np.array([[0, 1, 2], [2, 0, 1], [0, 1, 3], [0, 4, 4]])
-    prims = Triangles(corners, faces, *([None] * (len(Triangles._fields) - 2)))
+    prims = triangle_soup(corners[[0, 1, 2, 2, 0, 1, 0, 1, 3, 0, 4, 4]])
     d = np.array([3.0, 0.0, 4.0])
     views = [view_triangle(prims, k, np.ones(3), d, 1.0) for k in range(4)]
     assert [view.slenderness for view in views] == [0.125, 0.125, 0.0, 0.0]
