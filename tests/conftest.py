@@ -95,6 +95,13 @@ def warm(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("caster.system.terminal.compilation_reported", contextlib.nullcontext)
 
 
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 def keep_some_cases(items: list[pytest.Item]) -> None:
     """Take the mark `slow` from the cases that `make test` runs."""
     seen: collections.Counter[tuple[Path, str]] = collections.Counter()

@@ -62,6 +62,12 @@ def _run(path: str, *argv: str, module: str, compiled: bool = False) -> subproce
     return python("-P", "-m", module, *argv, PYTHONPATH=path, CASTER_JIT=jit)
 
 
+def ended_well(found: subprocess.CompletedProcess[str]) -> subprocess.CompletedProcess[str]:
+    """The same, which has exit code 0 and no remarks."""
+    assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
+    return found
+
+
 # How far a run of some seconds, or a compiler, had come; and of a machine with an old libLLVM, that it does not work.
 NO_REMARKS = ("validating: ", "compiling ", "llvm_ad_rgb does not work here")
 

@@ -1,6 +1,5 @@
 """Each class of a pixel is reached by a scene or a planted fault, and the failing classes fail."""
 
-import json
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from typing import Any
@@ -10,6 +9,7 @@ import pytest
 from edited_tree import ROOT, run
 from mitsuba_scenes import lit_scene, scene_judge
 from places import shipped
+from told import json_of
 
 import caster
 from caster.aovs import Aovs
@@ -291,7 +291,7 @@ def test_the_command_validate_stores_a_few_and_states_of_how_many(tmp_path):
     out = tmp_path / "out"
     found = run(ROOT, "validate", str(scene), "--out", str(out))
     assert found.returncode == 0, found.stdout + found.stderr
-    (verdict,) = json.loads((out / "verdict.json").read_text(encoding="utf-8"))["scenes"]
+    (verdict,) = json_of(out / "verdict.json")["scenes"]
     files = sorted(path.name for path in out.glob("*.toml"))
     assert files == sorted(verdict["reproducers"]) and len(files) == 2
     assert all(name.startswith("start.case-30.") for name in files)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from programs import printed_by
+from told import json_of
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import casters, scenes
@@ -26,7 +27,7 @@ def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
     file = tmp_path / "run.json"
     words = ["bench", "grazing-plane", "--size", str(SIDE), "--alternations", "1", "--json", str(file)]
     assert main(words) == 0
-    data = json.loads(file.read_text())
+    data = json_of(file)
     (scene,) = data["scenes"]
     assert scene["primitives"] == 2 and data["settings"]["alternations"] == 1
     rows = {row["key"]: row for row in scene["rows"]}
@@ -56,18 +57,17 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
         assert row.why == "" and row.rays == 256 and row.score.masks == row.score.beyond == 0, row
 
 
-def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monkeypatch, capsys):
+def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(here, monkeypatch, capsys):
     only(monkeypatch, "ours")
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "box.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
-    (tmp_path / "timed_caster.py").write_text(
+    (here / "box.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    (here / "timed_caster.py").write_text(
         "import caster\nscenes = []\n\n\ndef cast(scene, o, d):\n    if all(scene is not each for each in scenes):\n"
         "        scenes.append(scene)\n    assert len(scenes) <= 4, 'each build of the caster is one scene'\n"
         "    hits = caster.cast(scene, o, d, t_min=1e-30)\n    return hits.t, hits.normal\n"
     )
     words = ["bench", "box.obj", "--size", "32", "--alternations", "2", "--json", "run.json", "--candidate"]
     assert main([*words, "timed_caster:cast"]) == 0
-    data = json.loads((tmp_path / "run.json").read_text())
+    data = json_of(here / "run.json")
     (scene,) = data["scenes"]
     assert (scene["name"], scene["title"], scene["primitives"]) == ("box", "box.obj", 4)
     assert data["settings"]["candidate"] == "timed_caster:cast"
@@ -79,10 +79,9 @@ def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monke
 
 
 @pytest.mark.slow("times several processes")
-def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, capsys):
+def test_a_candidate_that_cannot_be_timed_is_no_result(here, monkeypatch, capsys):
     only(monkeypatch, "ours")
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "untimed_caster.py").write_text("def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n")
+    (here / "untimed_caster.py").write_text("def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n")
     words = ["bench", "one-sphere", "--size", "8", "--alternations", "1", "--candidate"]
     assert main([*words, "untimed_caster:cast"]) == 1
     assert "untimed_caster:cast raised NotImplementedError: spheres" in capsys.readouterr().out

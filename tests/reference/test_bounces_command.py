@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from places import SCENES
+from told import json_of
 
 import caster
 from mitsuba_ref.__main__ import main
@@ -17,7 +18,7 @@ SIZE = ("--size", "16", "12")
 def test_six_bounces_pass_with_counts_of_every_kind_and_a_page_each(tmp_path, capsys):
     out = tmp_path / "verdict.json"
     assert main(["validate", SCENE, *SIZE, "--bounces", "6", "-j", "1", "--json", str(out)]) == 0
-    scenes = json.loads(out.read_text())["scenes"]
+    scenes = json_of(out)["scenes"]
     assert [scene["bounce"] for scene in scenes] == [*range(7)]
     text = capsys.readouterr().out
     for scene in scenes[1:]:
@@ -46,16 +47,15 @@ def test_probe_follows_the_path_of_a_pixel(capsys):
 
 
 @pytest.mark.parametrize("faulty", [False, True])
-def test_a_candidate_is_judged_along_secondary_rays(faulty, tmp_path, monkeypatch, capsys):
+def test_a_candidate_is_judged_along_secondary_rays(faulty, here, monkeypatch, capsys):
     """One that misses what is near passes along the camera's rays."""
-    (tmp_path / "bounced.py").write_text(
+    (here / "bounced.py").write_text(
         "import caster, numpy as np\n"
         "def trace(scene, o, d):\n"
         f"    hits = caster.cast(scene, o, d, t_min={0.3 if faulty else 0.0})\n"
         "    return hits.t, hits.normal\n"
     )
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(here)
     monkeypatch.delitem(__import__("sys").modules, "bounced", raising=False)
     words = ["validate", SCENE, *SIZE, "--bounces", "1", "--candidate", "bounced:trace", "-j", "1"]
     assert main(words) == faulty

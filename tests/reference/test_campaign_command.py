@@ -1,6 +1,5 @@
 """The command `mitsuba-ref campaign`: continuing after a kill, crashes, new failures, budgets and exit codes."""
 
-import json
 import re
 import shutil
 import signal
@@ -11,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from told import json_of, unfolded
 
 from mitsuba_ref.__main__ import main
 
@@ -55,17 +55,16 @@ def kill(scene, o, d):
 
 
 @pytest.fixture
-def campaign(tmp_path, monkeypatch, capsys, warm, remembered):
+def campaign(here, monkeypatch, capsys, warm, remembered):
     """Run a campaign of a text; (exit code, stdout, the report's JSON or None)."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "mine", raising=False)  # another test's, which workers would inherit
 
     def run(text, *more, name="c.toml"):
         Path(name).write_text(text)
         Path("told.json").unlink(missing_ok=True)
         code = main(["campaign", name, "--json", "told.json", *more])
-        out = " ".join(capsys.readouterr().out.split())
-        return code, out, json.loads(Path("told.json").read_text()) if Path("told.json").exists() else None
+        out = unfolded(capsys.readouterr().out)
+        return code, out, json_of("told.json") if Path("told.json").exists() else None
 
     return run
 
@@ -204,8 +203,7 @@ def test_mistakes_have_their_exit_codes(campaign, capsys, words, code, says):
     assert says in capsys.readouterr().err
 
 
-def test_no_output_replaces_the_history(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_no_output_replaces_the_history(here, capsys):
     Path("c.toml").write_text(FUZZ.format(1))
     Path("c.history.sqlite").write_bytes(b"kept")
     for option in ("--json", "--html"):
@@ -214,14 +212,13 @@ def test_no_output_replaces_the_history(tmp_path, monkeypatch, capsys):
     assert Path("c.history.sqlite").read_bytes() == b"kept"
 
 
-def test_a_mistake_is_told_last_and_unit_stands_alone(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_mistake_is_told_last_and_unit_stands_alone(here, capsys):
     job = FUZZ.format(1)
     Path("c.toml").write_text(f'[[subject]]\nname = "s"\ncandidate = "nowhere:trace"\n{job}')
     assert main(["campaign", "c.toml", "-j", "1", "--json", "told"]) == 2
     told = capsys.readouterr()
     assert "nothing judged" not in told.err
-    assert "subject 's': --candidate 'nowhere:trace': there is no module nowhere" in " ".join(told.err.split())
+    assert "subject 's': --candidate 'nowhere:trace': there is no module nowhere" in unfolded(told.err)
     assert "run 1" not in told.out and not Path("told").exists()
     assert rows("c.history.sqlite", "SELECT * FROM run_units") == []
     Path("d.toml").write_text(job)

@@ -1,6 +1,5 @@
 """Candidates that are programs: their input, their output, and each way to fail."""
 
-import json
 import os
 import shlex
 import subprocess
@@ -11,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from places import ROOT, SCENES, shipped
+from told import json_of, unfolded
 
 import caster
 from caster.description.errors import SceneError
@@ -220,7 +220,7 @@ def test_a_program_ends_with_the_run_that_started_it(tmp_path):
     assert not work.is_alive() and "ended by SIGKILL" in found[0].problem
 
 
-def test_a_program_is_not_run_by_a_shell(tmp_path):
+def test_a_program_is_not_run_by_a_shell():
     scene = small("one-sphere")
     found = judged(f"{PYTHON} -c 'import sys; sys.exit(sys.argv[1])' '$HOME;' {{exr}} {{toml}}", scene)
     assert "exit code 1: $HOME;" in found.problem
@@ -290,7 +290,7 @@ def test_however_a_function_ends_the_process_it_is_no_pass_and_leaves_no_earlier
     out, said = started.communicate(timeout=60)
     code, reason = SUPERVISED[function]
     assert started.returncode == code and reason in said and "printed in C" not in out
-    assert not earlier.exists() or not json.loads(earlier.read_text())["ok"]
+    assert not earlier.exists() or not json_of(earlier)["ok"]
 
 
 def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
@@ -339,7 +339,7 @@ def test_depth_along_z_and_names_of_another_program_are_read_as_compare_reads_th
     assert blender(tmp_path, capsys, "--depth", "z", scene="one-sphere")[0] == 1  # of a miss, 1e10 is a hit
     assert blender(tmp_path, capsys, *stated, "--map", "depth=somewhere.V", depth="somewhere.V")[0] == 0
     code, out, _ = blender(tmp_path, capsys, *stated, depth="somewhere.V")
-    assert code == 1 and "has no channel depth.Z" in " ".join(out.split())
+    assert code == 1 and "has no channel depth.Z" in unfolded(out)
 
 
 @pytest.mark.slow("judges a film several times")

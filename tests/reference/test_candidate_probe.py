@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import scene_judge
 from places import ROOT, shipped
+from told import json_of
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
@@ -50,7 +51,7 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
     assert main(["validate", "scenes/inside-sphere.toml", *given, "--json", str(verdict)]) == 1
     (replay,) = re.findall(r"^      replay:    mitsuba-ref (.*)", capsys.readouterr().out, re.MULTILINE)
     assert replay.startswith("probe scenes/inside-sphere.toml 0 0 ") and shlex.split(replay)[4:] == given
-    (scene,) = json.loads(verdict.read_text())["scenes"]
+    (scene,) = json_of(verdict)["scenes"]
     assert scene["failures"][0]["replay"] == f"mitsuba-ref {replay}"
     assert scene["replay"] == f"mitsuba-ref validate scenes/inside-sphere.toml {shlex.join(given)}"
     saved = tmp_path / "again.toml"

@@ -1,7 +1,6 @@
 """A correct candidate passes; a wrong one fails with the place and the cause."""
 
 import importlib.util
-import json
 import os
 import re
 import runpy
@@ -11,7 +10,9 @@ from typing import Any
 import candidates
 import numpy as np
 import pytest
+from marks import each_shipped_scene
 from places import ROOT, SHIPPED, shipped
+from told import json_of, unfolded
 
 import caster
 from caster.cameras.single_ray import Ray
@@ -56,7 +57,7 @@ def supported(scene: Scene) -> bool:
     return flat and not any(shape.type in ("sphere", "spheres") and shape.to_world for shape in shapes)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+@each_shipped_scene
 @pytest.mark.slow("every shipped scene, twice", every=7)
 def test_ours_as_a_candidate_and_a_plain_float32_caster_pass(path):
     scene = small(path.stem, 16, 12)
@@ -333,7 +334,7 @@ def test_an_interrupted_run_names_the_candidate_though_no_scene_is_done(tmp_path
     assert main(words) == 130
     out = capsys.readouterr().out
     assert "candidate:  test_candidates:interrupted" in out and "agree" in out and "ours" not in out
-    told = json.loads(file.read_text())
+    told = json_of(file)
     assert told["candidate"] == "test_candidates:interrupted" and "wrong" in told["counts"]
     assert '"candidate":"test_candidates:interrupted"' in (tmp_path / "report/index.html").read_text()
 
@@ -353,7 +354,7 @@ def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeyp
     assert "5 #ff0000" in classes.provenance["caster/class_colors"]
     assert main([*one, "docs.candidates.textbook:trace", "--candidate-precision", "float64"]) == 0
     assert main([*one[:1], "scenes/inside-sphere.toml", *one[2:], "docs.candidates.textbook:trace"]) == 1
-    assert "first root is behind the ray's origin" in " ".join(capsys.readouterr().out.split())
+    assert "first root is behind the ray's origin" in unfolded(capsys.readouterr().out)
 
 
 # ---- the worked examples ----

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from told import unfolded
 
 import caster
 from caster.__main__ import main as caster_main
@@ -133,8 +134,7 @@ def whole_messages():
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def folder(here):
     Path("empty").mkdir()
     for name, text in (
         ("scene.toml", SCENE),
@@ -149,7 +149,7 @@ def folder(tmp_path, monkeypatch):
     for name, size in (("a.exr", (16, 12)), ("small.exr", (8, 6))):
         scene = caster.load_scene("scene.toml").with_film(width=size[0], height=size[1])
         write_render(name, scene, [caster.render(scene, ("depth",))], "scene.toml")
-    return tmp_path
+    return here
 
 
 def answer(line: str, capsys) -> tuple[int, str]:
@@ -161,7 +161,7 @@ def answer(line: str, capsys) -> tuple[int, str]:
     text = "".join(capsys.readouterr())
     wide = [each for each in text.splitlines() if len(each) > 80 and len(each.split()) > 1]
     assert [each for each in wide if not COMMAND.match(each) and each.strip() not in SCENE] == []
-    return code, " ".join(text.split())
+    return code, unfolded(text)
 
 
 @pytest.mark.parametrize(("line", "code", "parts"), [(line, code, parts) for line, code, *parts in MISTAKES])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
+from told import json_of
 
 import caster
 from caster.__main__ import main as caster_main
@@ -49,13 +50,12 @@ def work(folder, number):
 
 
 @pytest.fixture
-def jobs(tmp_path, monkeypatch):
+def jobs(here, monkeypatch):
     """The module that workers import, a folder for what they touch, and the working folder."""
-    (tmp_path / "cluster_jobs.py").write_text(WORK)
-    (tmp_path / "touched").mkdir()
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
-    monkeypatch.syspath_prepend(str(tmp_path))
+    (here / "cluster_jobs.py").write_text(WORK)
+    (here / "touched").mkdir()
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.syspath_prepend(str(here))
     yield __import__("cluster_jobs")
     del sys.modules["cluster_jobs"]
 
@@ -125,7 +125,7 @@ def scheduler(*, workers=1, threads=1, **environment):
         ]
         for _ in range(workers):
             processes.append(subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, **environment}))
-        yield json.loads(file.read_text())["address"], processes[0]
+        yield json_of(file)["address"], processes[0]
     finally:
         for process in reversed(processes):
             process.send_signal(signal.SIGCONT)
@@ -207,7 +207,7 @@ def test_ctrl_c_in_a_terminal_ends_the_run_and_its_workers_quietly(tmp_path):
     out, err = run.communicate(timeout=30)
     assert run.returncode == 130 and err.splitlines()[-1] == "interrupted", err
     assert "Traceback" not in err and "leaked" not in err and "adjudicated by exact arithmetic" in out
-    assert json.loads((tmp_path / "told").read_text())["interrupted"]
+    assert json_of(tmp_path / "told")["interrupted"]
     end = time.monotonic() + 5.0  # the system may still be ending a worker
     while living_processes_of(run.pid) and time.monotonic() < end:
         time.sleep(0.1)
@@ -275,8 +275,7 @@ def trace(scene, o, d):
 
 
 @pytest.mark.slow("starts clusters")
-def test_a_cluster_that_goes_on_judges_the_candidate_of_today(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_cluster_that_goes_on_judges_the_candidate_of_today(here):
     Path("one.toml").write_text(HEAD + SPHERE)
     right = "from caster import cast\n\ndef trace(*rays):\n    hits = cast(*rays)\n    return hits.t{}, hits.normal\n"
     with scheduler() as (address, _):
@@ -287,11 +286,10 @@ def test_a_cluster_that_goes_on_judges_the_candidate_of_today(tmp_path, monkeypa
 
 
 @pytest.mark.slow("starts clusters")
-def test_bench_times_on_one_worker_a_machine(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_bench_times_on_one_worker_a_machine(here, capsys):
     words = ["bench", "one-sphere", "overdraw-256", "--size", "8", "--alternations", "1"]
     assert main([*words, "--engine", "dask", "--json", "run.json"]) == 0
-    record = json.loads(Path("run.json").read_text())
+    record = json_of("run.json")
     assert [scene["name"] for scene in record["scenes"]] == ["one-sphere", "overdraw-256"]
     assert all(row["seconds"] for scene in record["scenes"] for row in scene["rows"] if row["key"] == "ours")
     assert record["machine"]["mitsuba"] and not capsys.readouterr().err.count("Traceback")
@@ -309,14 +307,13 @@ def test_bench_refuses_times_of_different_machines(tmp_path, monkeypatch, capsys
         monkeypatch.setattr(experiments, "time_on_worker", lambda *_, found=found: next(found))
         file = tmp_path / f"{code}.json"
         assert main(["bench", "one-sphere", "mesh-70k", "--json", str(file)]) == code
-        record = json.loads(file.read_text())
+        record = json_of(file)
         assert len(record["scenes"]) == 2 - (code > 0) and record["machine"][CORES] == "2 of 4"
     assert "expected equal machines, got two of another processor" in capsys.readouterr().err
 
 
 @pytest.mark.slow("starts clusters")
-def test_dask_and_local_give_the_same_and_a_poisoned_scene_is_one_row(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_dask_and_local_give_the_same_and_a_poisoned_scene_is_one_row(here, monkeypatch, capsys):
     monkeypatch.setenv("MITSUBA_REF_STORE", "off")
     before = threading.active_count()
     Path("scenes").mkdir()
@@ -330,14 +327,12 @@ def test_dask_and_local_give_the_same_and_a_poisoned_scene_is_one_row(tmp_path, 
         )
         assert main(["stress", "tangency", "--rays", "9", "--engine", engine, "--json", f"s-{engine}.json"]) == 0
     for prefix in ("", "f-", "s-"):
-        local, dask = (
-            without_times(json.loads(Path(f"{prefix}{name}.json").read_text())) for name in ("local", "dask")
-        )
+        local, dask = (without_times(json_of(f"{prefix}{name}.json")) for name in ("local", "dask"))
         assert local == dask
     Path("mine.py").write_text(CANDIDATE)
     words = ["validate", "scenes", "--candidate", "mine:trace", "--engine", "dask", "-j", "1", "--json", "c.json"]
     assert main(words) == 1
-    found = {scene["name"]: scene for scene in json.loads(Path("c.json").read_text())["scenes"]}
+    found = {scene["name"]: scene for scene in json_of("c.json")["scenes"]}
     assert [name for name, scene in found.items() if scene["problem"]] == ["poison"]
     assert found["poison"]["problem"].startswith("the process that casts and judges ended: a crash")
     assert found["poison"]["replay"] and all(found[name]["ok"] for name in "abz")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, a_tube, decades, rays_at, scene_of
 
+from caster import Scene
 from caster.shapes import Triangle
 from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
@@ -42,14 +43,18 @@ def observe(kind: str, setting: Setting, seed: list[int], *, shapes: int, count:
     rng = np.random.default_rng(seed)
     scene = scene_of(kind, rng, setting, shapes)
     o, d = rays_at(scene, rng, setting, count)
-    rays = endless_rays(o, d)
+    return compared(scene, o, d, send)
+
+
+def answered(scene: Scene, rays: SharedRays, send: SendRequest) -> tuple[SceneModel, ReferenceResult]:
     model = model_of(scene, rays)
     witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
-    return compared(model, witness, o, d)
+    return model, witness
 
 
-def compared(model: SceneModel, witness: ReferenceResult, o: np.ndarray, d: np.ndarray) -> Observed:
+def compared(scene: Scene, o: np.ndarray, d: np.ndarray, send: SendRequest) -> Observed:
+    model, witness = answered(scene, endless_rays(o, d), send)
     answer = witness.answer
     n, sh_n, p = (a.astype(np.float64) for a in (answer.n, answer.sh_n, answer.p))
     bracket = Bracket(model, REFERENCE_SIDE)
@@ -156,11 +161,7 @@ def test_a_triangle_is_unresolved_where_the_rounding_of_its_corners_turns_it_rou
     *corners, o, d = np.array([float.fromhex(word) for word in numbers.split()]).reshape(5, 3)
     scene = scene_of("triangles", np.random.default_rng(0), Setting(), 1)
     scene = scene.model_copy(update={"shapes": (Triangle(vertices=corners),)})
-    rays = endless_rays(o[None], d[None])
-    model = model_of(scene, rays)
-    witness = trace_reference(scene, model, rays, lights=False, send=send)
-    assert not isinstance(witness, Crash), witness
-    found = compared(model, witness, o[None], d[None])
+    found = compared(scene, o[None], d[None], send)
     assert not found.resolved.any() and not found.certain.any()
     assert (found.allowed | found.open_ended).all()
 
@@ -177,5 +178,4 @@ def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(send):
     assert 100 <= native <= 250
     away = np.full((1, 3), 1e6, np.float32)
     nowhere = SharedRays(away, away, np.ones(1, np.float32), np.zeros(1))
-    witness = trace_reference(scene, model_of(scene, nowhere), nowhere, lights=False, send=send)
-    assert not isinstance(witness, Crash), witness
+    answered(scene, nowhere, send)

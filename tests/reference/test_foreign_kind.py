@@ -4,13 +4,14 @@ The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py; docs/i
 them.
 """
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
 from coin_scenes import COINS, LAMP, PINHOLE
-from edited_tree import ROOT, edit, run_with, said_beside_progress
+from edited_tree import ROOT, edit, ended_well, run_with
+from programs import install
+from told import json_of
 
 SCENE = "[film]\nwidth = 12\nheight = 9\n" + PINHOLE + LAMP + COINS
 
@@ -20,31 +21,18 @@ def coins(tmp_path) -> Path:
     """A folder with an installed distribution: the kind on both sides, and a scene."""
     shutil.copy(ROOT / "tests/unit/coin_plugin.py", tmp_path)
     shutil.copy(ROOT / "tests/reference/coin_reference.py", tmp_path)
-    (tmp_path / "coins.toml").write_text(SCENE, encoding="utf-8")
-    about = tmp_path / "coins-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: coins\nVersion: 1.0\n")
-    groups = "[caster.plugins]\ncoins = coin_plugin\n[mitsuba_ref.plugins]\ncoins = coin_reference\n"
-    (about / "entry_points.txt").write_text(groups)
+    (tmp_path / "coins.toml").write_text(SCENE)
+    install(tmp_path, "coins", caster="coin_plugin", mitsuba_ref="coin_reference")
     return tmp_path
 
 
 def test_a_foreign_kind_is_judged_reported_and_probed(coins):
-    found = run_with(
-        coins,
-        "validate",
-        str(coins / "coins.toml"),
-        "--html",
-        str(coins / "report"),
-        "--json",
-        str(coins / "verdict.json"),
-    )
-    assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
+    files = ("--html", str(coins / "report"), "--json", str(coins / "verdict.json"))
+    found = ended_well(run_with(coins, "validate", str(coins / "coins.toml"), *files))
     assert "PASS  coins" in found.stdout and (coins / "report/index.html").stat().st_size > 10_000
-    (scene,) = json.loads((coins / "verdict.json").read_text())["scenes"]
+    (scene,) = json_of(coins / "verdict.json")["scenes"]
     assert scene["biases"][0]["kind"] == "Coins"
-    probed = run_with(coins, "probe", str(coins / "coins.toml"), "6", "4")
-    assert (probed.returncode, said_beside_progress(probed)) == (0, [])
+    probed = ended_well(run_with(coins, "probe", str(coins / "coins.toml"), "6", "4"))
     assert "coins.toml: agree" in probed.stdout and "shape-1" in probed.stdout
 
 
@@ -52,9 +40,7 @@ def test_a_foreign_kind_is_judged_reported_and_probed(coins):
 def test_a_foreign_kind_is_fuzzed(coins):
     """`planes` draws all registered kinds of the group "flat"."""
     words = ("fuzz", "--examples", "12", "--family", "planes", "--judge-every", "0", "--out", str(coins / "found"))
-    found = run_with(coins, *words)
-    assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
-    assert "nothing found" in found.stdout
+    assert "nothing found" in ended_well(run_with(coins, *words)).stdout
 
 
 @pytest.mark.parametrize(
@@ -76,9 +62,9 @@ def test_a_mistake_in_a_foreign_kind_is_found(coins, old, new, says):
 @pytest.mark.slow("judges twice in plain Python")
 def test_a_foreign_camera_is_judged_and_a_mistake_in_it_is_found(coins):
     scanned = SCENE.replace('"pinhole"', '"scanner"\nspacing = 0.34')
-    (coins / "scanned.toml").write_text(scanned, encoding="utf-8")
-    found = run_with(coins, "validate", str(coins / "scanned.toml"))
-    assert (found.returncode, said_beside_progress(found)) == (0, []) and "PASS  scanned" in found.stdout
+    (coins / "scanned.toml").write_text(scanned)
+    words = ("validate", str(coins / "scanned.toml"))
+    assert "PASS  scanned" in ended_well(run_with(coins, *words)).stdout
     edit(coins, "coin_plugin.py", "camera.center[1] - y", "camera.center[1] - 1.001 * y")
-    found = run_with(coins, "validate", str(coins / "scanned.toml"))
+    found = run_with(coins, *words)
     assert found.returncode == 1 and "FAIL  scanned" in found.stdout and "camera: " in found.stdout

@@ -1,6 +1,5 @@
 """The command `mitsuba-ref fuzz`: coverage, stored findings and exit codes."""
 
-import json
 import os
 import signal
 import time
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from edited_tree import NO_REMARKS
 from places import ROOT
+from told import json_of, unfolded
 
 from caster.rendering import hits, images
 from caster.rendering.casting import find_nearest
@@ -38,7 +38,7 @@ def fuzz(tmp_path, capsys, warm):
         told.unlink(missing_ok=True)
         code = main(["fuzz", "--out", str(out), "--json", str(told), *argv])
         captured = capsys.readouterr()
-        return code, captured.out, captured.err, json.loads(told.read_text()) if told.exists() else None
+        return code, captured.out, captured.err, json_of(told) if told.exists() else None
 
     return run
 
@@ -99,7 +99,7 @@ def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_fixed(fuzz, fault,
     assert code == 1
     (failure,) = (each for each in told["failures"] if each["kind"] == "missed")
     assert failure["family"] == "edges" and told["total"]["kinds"]["missed"] > 1
-    assert f"FAIL missed: {failure['what']}" in " ".join(out.split())
+    assert f"FAIL missed: {failure['what']}" in unfolded(out)
     assert f"replay: mitsuba-ref fuzz --replay {failure['file']}" in out
     assert len(read_kept(Path(failure["file"]))[1]["shape"]) == 1
     assert load_scene(failure["file"]).camera.type == "ray"

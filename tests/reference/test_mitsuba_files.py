@@ -1,6 +1,5 @@
 """Mitsuba files as the reference: what is judged of them, their import, and what is refused."""
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from candidates import ours
 from places import ROOT, shipped
+from told import json_of, unfolded
 
 import mitsuba_ref
 from caster.description.errors import FileMissing, SceneError
@@ -24,9 +24,9 @@ BALL = '<shape type="sphere" id="ball"/>'
 
 
 @pytest.fixture
-def folder(tmp_path):
-    shutil.copytree(ROOT / "tests/mitsuba_files", tmp_path, dirs_exist_ok=True)
-    return tmp_path
+def folder(here):
+    shutil.copytree(ROOT / "tests/mitsuba_files", here, dirs_exist_ok=True)
+    return here
 
 
 def written(folder, content, name="scene.xml"):
@@ -35,8 +35,12 @@ def written(folder, content, name="scene.xml"):
     return str(path)
 
 
+def judged(path, **more):
+    return mitsuba_ref.validate(path, **more).scenes[0]
+
+
 def test_every_shape_is_judged_but_one_that_is_named(folder):
-    scene = mitsuba_ref.validate(folder / "every-plugin.xml").scenes[0]
+    scene = judged(folder / "every-plugin.xml")
     assert scene.ok and scene.counts["agree"] > 1200 and not scene.counts["wrong"] + scene.counts["undecided"]
     covered = scene.coverage
     assert (covered.shapes, covered.judged) == (9, 8) and covered.hidden > 50
@@ -48,7 +52,7 @@ def test_every_shape_is_judged_but_one_that_is_named(folder):
 
 
 def test_light_is_compared_where_the_caster_has_the_same(folder):
-    scene = mitsuba_ref.validate(folder / "lit.xml").scenes[0]
+    scene = judged(folder / "lit.xml")
     assert scene.ok and "diffuse" in scene.ratios and scene.images["reference"]["diffuse"].max() > 0.1
     assert not scene.unjudged and not scene.coverage.lines()
 
@@ -62,17 +66,16 @@ LAMP = '<emitter type="point"><point name="position" value="0 0 -9"/><rgb name="
 
 def judged_and_imported(path):
     """What is found of a scene, and of what `import` writes of it; both pass."""
-    scene = mitsuba_ref.validate(path, size=(36, 24)).scenes[0]
+    scene = judged(path, size=(36, 24))
     assert scene.ok and "diffuse" in scene.ratios and not scene.coverage.lines()
     assert main(["import", path, "-o", "out.toml", "--size", "36", "24"]) == 0
-    again = mitsuba_ref.validate("out.toml").scenes[0]
+    again = judged("out.toml")
     assert again.ok
     return scene, again
 
 
-def test_textures_are_compared_where_their_files_are(folder, capsys, monkeypatch):
+def test_textures_are_compared_where_their_files_are(folder, capsys):
     """The texels that Mitsuba holds; `import` writes them as a picture."""
-    monkeypatch.chdir(folder)
     shutil.copy(ROOT / "scenes/pictures/swatch.png", folder)
     shapes = BALL.replace("/>", f">{WITHIN.format('green', BOARD)}</shape>")
     wall = f'<transform name="to_world"><scale value="9"/></transform>{WITHIN.format("wall", PICTURE)}'
@@ -86,7 +89,7 @@ def test_textures_are_compared_where_their_files_are(folder, capsys, monkeypatch
         Path("swatch.png").unlink() if content is None else Path("swatch.png").write_bytes(content)
         capsys.readouterr()
         assert main(["validate", path, "--size", "9", "6"]) == 0
-        said = " ".join(capsys.readouterr().out.split())
+        said = unfolded(capsys.readouterr().out)
         assert re.search(r"diffuse is not compared: cannot read swatch.png of texture bitmap at \S+:1:\d+", said)
 
 
@@ -116,9 +119,8 @@ end_header
 
 
 @pytest.mark.parametrize("of", ["vertex", "face"])
-def test_colours_of_meshes_are_compared_and_imported(of, folder, monkeypatch):
+def test_colours_of_meshes_are_compared_and_imported(of, folder):
     """Two meshes with one material, each with colours of its own; normals of one are reversed."""
-    monkeypatch.chdir(folder)
     (folder / "a.ply").write_text(PLY)
     (folder / "b.ply").write_text(PLY.replace("0.9", "0.4"))
     mesh = '<shape type="ply"><string name="filename" value="{}.ply"/><ref id="m"/>{}</shape>'
@@ -142,7 +144,7 @@ def test_meshes_of_instances_have_mitsubas_barycentrics_and_normals(placed, flip
     mesh = f'<shape type="ply" id="a"><string name="filename" value="a.ply"/>{inner}</shape>'
     group = f'<shape type="shapegroup" id="g">{mesh}</shape>'
     instance = f'<shape type="instance"><ref id="g"/><transform name="to_world">{placed}</transform></shape>'
-    scene = mitsuba_ref.validate(written(folder, SENSOR + LAMP + group + instance), size=(36, 24)).scenes[0]
+    scene = judged(written(folder, SENSOR + LAMP + group + instance), size=(36, 24))
     assert scene.ok and scene.counts["agree"] > 300 and not scene.counts["reference_wrong"]
     assert "of an instance" in scene.coverage.unlit[0]
 
@@ -163,7 +165,7 @@ def test_a_texture_that_the_caster_has_not_is_a_reason_not_to_compare_diffuse(fo
     within = WITHIN.format("m", '<ref id="t" name="reflectance"/>')
     for scene, said in ((BALL.replace("/>", '><ref id="m"/></shape>'), reason), (BALL, "")):
         path = written(folder, SENSOR + LAMP + apart + within + scene)
-        verdict = mitsuba_ref.validate(path, size=(20, 20)).scenes[0]
+        verdict = judged(path, size=(20, 20))
         assert verdict.ok and ("diffuse" in verdict.ratios) != bool(said)
         assert said in "".join(verdict.coverage.unlit) and bool(verdict.coverage.unlit) == bool(said)
 
@@ -171,13 +173,13 @@ def test_a_texture_that_the_caster_has_not_is_a_reason_not_to_compare_diffuse(fo
 def test_a_mesh_without_uv_is_judged_without_its_texture(folder):
     (folder / "flat.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n")
     mesh = f'<shape type="obj"><string name="filename" value="flat.obj"/>{WITHIN.format("m", BOARD)}</shape>'
-    scene = mitsuba_ref.validate(written(folder, SENSOR + LAMP + mesh), size=(20, 20)).scenes[0]
+    scene = judged(written(folder, SENSOR + LAMP + mesh), size=(20, 20))
     assert scene.ok and scene.hit_pixels > 20 and "no uv" in scene.coverage.unlit[0]
 
 
 def test_curves_ellipsoids_flipped_quadrics_and_specular_materials_are_judged(folder):
     """Mitsuba itself finds wrong hits, or none at all, on curves and ellipsoids in an instance."""
-    scene = mitsuba_ref.validate(folder / "quadrics.xml").scenes[0]
+    scene = judged(folder / "quadrics.xml")
     assert scene.ok and scene.counts["agree"] > 300 and not scene.counts["wrong"] + scene.counts["undecided"]
     assert scene.coverage.judged == 6 and not scene.coverage.lines() and {"diffuse", "uv"} <= {*scene.ratios}
     assert {each.type for each in open_scene(str(folder / "quadrics.xml")).materials.values()} == {
@@ -200,14 +202,13 @@ EXPORTED = ("every-shape", "ellipsoids", "crop-window", "orthographic-clip", "tr
 def test_an_exported_scene_passes_as_an_original(name, tmp_path):
     """With its camera, compared with the sensor, as the check of the same name says."""
     path = export_scene(shipped(name, 36, 24)).write(tmp_path)
-    scene = mitsuba_ref.validate(path).scenes[0]
+    scene = judged(path)
     assert scene.ok and not scene.counts["wrong"] and {"sensor", "camera"} <= {check.name for check in scene.checks}
     assert scene.coverage.judged == scene.coverage.shapes
 
 
-def test_an_imported_scene_hits_the_same_as_the_original(folder, capsys, monkeypatch):
+def test_an_imported_scene_hits_the_same_as_the_original(folder, capsys):
     """The scene that was written, cast along the original's rays and judged against the original."""
-    monkeypatch.chdir(folder)
     (folder / "there").mkdir()
     assert main(["import", "every-plugin.xml", "-o", "there/out.toml", "-D", "res=40"]) == 0
     said = capsys.readouterr().out
@@ -232,15 +233,15 @@ def test_rays_are_the_sensors_own(folder):
     meter = '<sensor type="radiancemeter"><point name="origin" value="0 0 3"/><vector name="direction" value="0 0 -1"/>'
     meter += '<film type="hdrfilm"><integer name="width" value="1"/><integer name="height" value="1"/></film></sensor>'
     path = written(folder, SENSOR + meter + BALL)
-    scene = mitsuba_ref.validate(open_scene(path, Opening({}, sensor=1))).scenes[0]
+    scene = judged(open_scene(path, Opening({}, sensor=1)))
     assert scene.ok and scene.hit_pixels == scene.pixels == 1 and "sensor radiancemeter" in scene.coverage.notes[0]
     on_shape = '<shape type="disk"><sensor type="irradiancemeter"/></shape><shape type="rectangle">{}</shape>'
     facing = on_shape.format('<transform name="to_world"><translate z="3"/></transform>')
-    scene = mitsuba_ref.validate(written(folder, facing, "facing.xml"), size=(8, 8)).scenes[0]
+    scene = judged(written(folder, facing, "facing.xml"), size=(8, 8))
     assert scene.ok and scene.hit_pixels == 64 and "sensor irradiancemeter" in scene.coverage.notes[0]
     with pytest.raises(SceneError, match="sensor 2: the file has 2, counted from 0"):
         open_scene(path, Opening({}, sensor=2))
-    scene = mitsuba_ref.validate(written(folder, BALL, "view.xml"), size=(20, 20)).scenes[0]
+    scene = judged(written(folder, BALL, "view.xml"), size=(20, 20))
     assert scene.ok and 50 < scene.hit_pixels < 350 and "no sensor" in scene.coverage.notes[0]
     with pytest.raises(SceneError, match="perspective or orthographic"):
         import_xml(written(folder, meter + BALL))
@@ -250,12 +251,11 @@ def test_rays_are_the_sensors_own(folder):
 def test_axes_of_a_sensor_that_differ_in_length_are_no_cameras(folder, plugin):
     """As in a matrix of six decimals: the caster's camera would be off by many roundings."""
     sensor = f'<sensor type="{plugin}"><transform name="to_world"><scale y="1.00002"/><translate z="-5"/></transform>'
-    scene = mitsuba_ref.validate(written(folder, sensor + "</sensor>" + BALL), size=(40, 40)).scenes[0]
+    scene = judged(written(folder, sensor + "</sensor>" + BALL), size=(40, 40))
     assert scene.ok and "differ in length" in scene.coverage.notes[0]
 
 
-def test_what_a_verdict_covers_is_shown_everywhere(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_what_a_verdict_covers_is_shown_everywhere(folder, capsys):
     words = [
         "validate",
         "every-plugin.xml",
@@ -273,7 +273,7 @@ def test_what_a_verdict_covers_is_shown_everywhere(folder, capsys, monkeypatch):
     said = capsys.readouterr().out
     assert re.search(r"^FAIL  every-plugin .* 8 of 9 shapes$", said, re.MULTILINE)
     assert "coverage: 8 of 9 shapes; bsplinecurve 'hair'" in said and "--strict" in said
-    found = json.loads(Path("v.json").read_text())["scenes"][0]
+    found = json_of("v.json")["scenes"][0]
     assert found["coverage"]["shapes"] == 9 and found["options"] == ["--strict"]
     assert all("8 of 9 shapes" in Path(file).read_text() for file in ("j.xml", "s.md"))
     assert main(words[:2]) == 0
@@ -323,9 +323,8 @@ Group { numObjects 1 MaterialIndex 0 Sphere { center 0 0 0 radius 1 } }
 """
 
 
-def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
+def test_a_text_of_the_course_is_imported_too(here, capsys):
     """Its window is moved behind everything, and the import says so."""
-    monkeypatch.chdir(tmp_path)
     Path("s.txt").write_text(COURSE)
     assert main(["import", "s.txt", "-o", "s.toml", "--size", "41", "21"]) == 0
     said = capsys.readouterr().out
@@ -345,7 +344,6 @@ def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
         ("gone.txt -o s.toml --size 0 4", 2, "--size 0 4: "),
     ],
 )
-def test_wrong_use_is_reported_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
-    monkeypatch.chdir(tmp_path)
+def test_wrong_use_is_reported_with_its_exit_code(here, capsys, words, code, says):
     assert main(["import", *words.split()]) == code
-    assert says in capsys.readouterr().err and not list(tmp_path.iterdir())
+    assert says in capsys.readouterr().err and not list(here.iterdir())

@@ -145,9 +145,8 @@ def test_a_flood_of_output_is_kept_at_both_ends(ball, in_place_of_mitsuba):
     assert len(found.output) < 5000 and found.headline == "Error: the first"
 
 
-def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_path, monkeypatch):
-    (tmp_path / "mitsuba.py").write_text("raise SystemExit('the wrong one')")
-    monkeypatch.chdir(tmp_path)
+def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, here, monkeypatch):
+    (here / "mitsuba.py").write_text("raise SystemExit('the wrong one')")
     monkeypatch.delenv("PYTHONPATH", raising=False)
     for path in ("", ".", os.pathsep):
         monkeypatch.setenv("PYTHONPATH", path)

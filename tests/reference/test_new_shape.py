@@ -6,7 +6,9 @@ The code is taken from that page, so the page is right as long as this passes.
 import re
 
 import pytest
-from edited_tree import ROOT, run_with, said_beside_progress
+from edited_tree import ROOT, ended_well, run_with, said_beside_progress
+from programs import install
+from told import unfolded
 
 SENTENCE = (
     "Tetrahedron has no reference: write mitsuba_ref/shapes/tetrahedron.py and add its line to "
@@ -50,33 +52,28 @@ def as_documented(path: str) -> str:
 def plugin(tmp_path):
     """A folder with an installed distribution: the shape on the caster's side alone, and two scenes."""
     for flat in ("true", "false"):
-        (tmp_path / f"flat-{flat}.toml").write_text(SCENE.format(flat=flat), encoding="utf-8")
+        (tmp_path / f"flat-{flat}.toml").write_text(SCENE.format(flat=flat))
     (tmp_path / "tetrahedron.py").write_text(as_documented("tetrahedron.py"), encoding="utf-8")
-    about = tmp_path / "tetrahedron-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: tetrahedron\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[caster.plugins]\ntetrahedron = tetrahedron\n")
+    install(tmp_path, "tetrahedron", caster="tetrahedron")
     return tmp_path
 
 
 def add_reference(plugin):
     code = as_documented("tetrahedron_reference.py")
     (plugin / "tetrahedron_reference.py").write_text(code, encoding="utf-8")
-    with (plugin / "tetrahedron-1.0.dist-info/entry_points.txt").open("a") as file:
-        file.write("\n[mitsuba_ref.plugins]\ntetrahedron = tetrahedron_reference\n")
+    install(plugin, "tetrahedron", caster="tetrahedron", mitsuba_ref="tetrahedron_reference")
 
 
 def test_a_shape_without_reference_is_refused_by_the_judge(plugin):
     scene = str(plugin / "flat-true.toml")
     found = run_with(plugin, "validate", scene)
     assert (found.returncode, said_beside_progress(found)) == (1, [])
-    assert f"FAIL flat-true cannot be judged: {SENTENCE}" in " ".join(found.stdout.split())
+    assert f"FAIL flat-true cannot be judged: {SENTENCE}" in unfolded(found.stdout)
     refused = run_with(plugin, "export", scene, "-o", str(plugin / "xml"))
-    assert (refused.returncode, refused.stdout) == (2, "") and " ".join(refused.stderr.split()).endswith(SENTENCE)
+    assert (refused.returncode, refused.stdout) == (2, "") and unfolded(refused.stderr).endswith(SENTENCE)
 
 
 def test_with_its_reference_its_scenes_pass(plugin):
     add_reference(plugin)
-    found = run_with(plugin, "validate", str(plugin / "flat-true.toml"), str(plugin / "flat-false.toml"))
-    assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
+    found = ended_well(run_with(plugin, "validate", str(plugin / "flat-true.toml"), str(plugin / "flat-false.toml")))
     assert found.stdout.count("PASS  ") == 2

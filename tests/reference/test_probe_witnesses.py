@@ -39,9 +39,8 @@ def test_one_pixel_does_not_cost_what_the_film_does():
 
 
 @pytest.mark.slow("waits for a time-out")
-def test_mitsuba_may_be_given_less_time(tmp_path, monkeypatch, capsys):
-    (tmp_path / "edge.toml").write_text(EDGE)
-    monkeypatch.chdir(tmp_path)
+def test_mitsuba_may_be_given_less_time(here, capsys):
+    (here / "edge.toml").write_text(EDGE)
     assert main(["probe", "edge.toml", "0", "0", "--timeout", "0.001"]) == 1
     assert re.search(r"Mitsuba ended without an answer \(killed after 0\.0\d+ s\)", capsys.readouterr().out)
 

@@ -4,12 +4,11 @@ import json
 import math
 import re
 import tempfile
-import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-from places import ROOT
+from places import PYPROJECT, ROOT
 
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import Crash
@@ -70,7 +69,7 @@ def run(folder, *words, inside=True):
 
 
 def test_the_entry_point_is_this_plug_in():
-    named = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["pytest11"]
+    named = PYPROJECT["project"]["entry-points"]["pytest11"]
     assert named == {"mitsuba-ref": "mitsuba_ref.runner.pytest_plugin"}
     assert import_module("mitsuba_ref.runner.pytest_plugin").OPTION == "--mitsuba-ref"
 

@@ -1,12 +1,12 @@
 """--candidate: programs of any language that read rays and write hits; right ones pass, planted faults fail."""
 
-import json
 import shutil
 import subprocess
 import sys
 
 import pytest
 from places import ROOT
+from told import json_of
 
 from mitsuba_ref.__main__ import main
 
@@ -33,7 +33,7 @@ def validate(tmp_path, command, *more, door="--candidate"):
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["validate", str(tmp_path / "scene.toml"), door, command, "--json", str(tmp_path / "v.json")]
     code = main([*words, *more])
-    return code, json.loads((tmp_path / "v.json").read_text())["scenes"][0]
+    return code, json_of(tmp_path / "v.json")["scenes"][0]
 
 
 def compiled(tmp_path, source):
@@ -168,14 +168,14 @@ def test_limits_that_a_program_does_not_have_are_one_finding_of_the_run_and_can_
         f"{sys.executable} {program} {{toml}} {{rays}} {{hits}}",
     ]
     assert main([*words, "--candidate-precision", "float64"]) == 1
-    found, out = json.loads((tmp_path / "v.json").read_text()), capsys.readouterr().out
+    found, out = json_of(tmp_path / "v.json"), capsys.readouterr().out
     assert [scene["ok"] for scene in found["scenes"]] == [True, True] and not found["ok"]
     assert [(check["name"], check["ok"]) for check in found["checks"]] == [("ray_limits", False)]
     assert out.count("expected t = inf, got 2; --no-limits states that") == 1 and "2 scenes: 2 pass, 0 fail" in out
     assert (tmp_path / "j.xml").read_text().count("<failure") == 1
     words.remove(str(tmp_path / "b.toml"))
     assert main([*words, "--candidate-precision", "float64", "--no-limits"]) == 0
-    found = json.loads((tmp_path / "v.json").read_text())
+    found = json_of(tmp_path / "v.json")
     assert found["ok"] and found["checks"] == [] and "--no-limits" in found["scenes"][0]["replay"]
 
 

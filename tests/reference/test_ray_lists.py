@@ -1,11 +1,11 @@
 """`mitsuba-ref judge` on hits of any rays and on EXR files: correct ones pass, and each planted fault is found."""
 
 import io
-import json
 import zipfile
 
 import numpy as np
 import pytest
+from told import json_of, unfolded
 
 import caster
 from caster.image.channels import write_render
@@ -94,7 +94,7 @@ def judge(folder, hits, *more, rays="rays.npz"):
     out = folder / "verdict.json"
     words = ["--scene", str(folder / "scene.toml"), "--rays", str(folder / rays), "--hits", str(folder / "hits.npz")]
     code = main(["judge", *words, "--json", str(out), *more])
-    return code, json.loads(out.read_text())["scenes"]
+    return code, json_of(out)["scenes"]
 
 
 def test_right_answers_pass_with_ids_limits_and_any_hits(folder, given):
@@ -169,20 +169,17 @@ def test_float64_rays_are_judged_along_their_own_numbers(folder, given):
     assert code == 0 and scenes[0]["precision"] == "float32"
 
 
-def test_hits_of_the_scene_files_own_numbers_are_named_and_those_of_the_traced_scene_pass(
-    folder, given, tmp_path, monkeypatch
-):
+def test_hits_of_the_scene_files_own_numbers_are_named_and_those_of_the_traced_scene_pass(given, here):
     """No float32 number is 0.3: the ball is traced 1e-8 beside the described one."""
-    (tmp_path / "roof.obj").write_text(ROOF)
-    (tmp_path / "scene.toml").write_text(SCENE.replace("[-0.5, 0.25, 0]", "[-0.53, 0.27, 0.01]"))
-    np.savez(tmp_path / "rays.npz", rays=given[0][:120])
+    (here / "roof.obj").write_text(ROOF)
+    (here / "scene.toml").write_text(SCENE.replace("[-0.5, 0.25, 0]", "[-0.53, 0.27, 0.01]"))
+    np.savez(here / "rays.npz", rays=given[0][:120])
     rows = given[0][:120].astype(np.float64)
     for scene, expected in (("scene.toml", 1), ("traced/scene.toml", 0)):
         if expected == 0:
-            monkeypatch.chdir(tmp_path)
             assert main(["export", "scene.toml", "--toml", "-o", "traced"]) == 0  # its meshes are beside it
-        hits = hits_of(caster.load_scene(tmp_path / scene), rows)
-        code, (found,) = judge(tmp_path, {"t": hits["t"]})
+        hits = hits_of(caster.load_scene(here / scene), rows)
+        code, (found,) = judge(here, {"t": hits["t"]})
         assert code == expected, found
         if expected:
             assert found["findings"][0]["what"].startswith("hits of the scene file's own numbers")
@@ -194,7 +191,7 @@ def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_pat
     wrong, _ = planted("flipped normal", rows, hits)
     out = ["--out", str(tmp_path / "out"), "--html", str(tmp_path / "r"), "--junit", str(tmp_path / "j.xml")]
     code, (scene,) = judge(folder, wrong, *out)
-    text = " ".join(capsys.readouterr().out.split())
+    text = unfolded(capsys.readouterr().out)
     row = int(np.flatnonzero(np.isfinite(hits["t"]))[7])
     assert code == 1 and f"at ray {row}" in text and f"--row {row}" in scene["failures"][0]["replay"]
     files = {path.name for path in (tmp_path / "out").iterdir()}
@@ -271,6 +268,15 @@ HOSTILE_RAYS = {
 }
 
 
+def judge_files(folder, given, capsys):
+    """The exit code, and what is said of the rays and hits in `given`, which is no traceback."""
+    files = ["--rays", str(given / "rays.npz"), "--hits", str(given / "hits.npz")]
+    code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
+    said = unfolded(capsys.readouterr().err)
+    assert "Traceback" not in said
+    return code, said
+
+
 @pytest.mark.parametrize("which", HOSTILE_RAYS)
 def test_rays_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     content, words = HOSTILE_RAYS[which]
@@ -280,10 +286,8 @@ def test_rays_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     else:
         np.savez(path, rays=content)
     np.savez(tmp_path / "hits.npz", t=np.ones(2))
-    files = ["--rays", str(path), "--hits", str(tmp_path / "hits.npz")]
-    code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
-    error = capsys.readouterr().err
-    assert code in (2, 4) and words in error and str(path) in error and "Traceback" not in error
+    code, said = judge_files(folder, tmp_path, capsys)
+    assert code in (2, 4) and words in said and str(path) in said
 
 
 HOSTILE_HITS = {
@@ -302,10 +306,8 @@ def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     arrays, expected, words = HOSTILE_HITS[which]
     np.savez(tmp_path / "hits.npz", **arrays)
     np.savez(tmp_path / "rays.npz", rays=np.array([RAY, RAY]))
-    files = ["--rays", str(tmp_path / "rays.npz"), "--hits", str(tmp_path / "hits.npz")]
-    code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
-    text = " ".join("".join(capsys.readouterr()).split())
-    assert code == expected and words in text and "Traceback" not in text
+    code, said = judge_files(folder, tmp_path, capsys)
+    assert code == expected and words in said
 
 
 def judged_exr(folder, exr, change=None, *more):
@@ -316,7 +318,7 @@ def judged_exr(folder, exr, change=None, *more):
     write_exr(folder / "e.exr", channels, {})
     words = [str(folder / "scene.toml"), "--candidate", str(folder / "e.exr"), *more]
     code = main(["validate", *words, "--json", str(folder / "v.json")])
-    return code, json.loads((folder / "v.json").read_text())["scenes"]
+    return code, json_of(folder / "v.json")["scenes"]
 
 
 def scaled(name, factor):

@@ -1,10 +1,10 @@
 """Origins of rays by Mitsuba, by ours and by a candidate: mitsuba3 issue 1871, and the commands that judge it."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from told import json_of, unfolded
 
 from mitsuba_ref.__main__ import main
 
@@ -37,11 +37,10 @@ def flat(points, normals, directions):
 
 
 @pytest.fixture
-def judged(tmp_path, monkeypatch, capsys):
+def judged(here, capsys):
     """Writes the scene, its rays and a candidate; calls `judge --spawned` with more options: (exit code, stdout)."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "nested.toml").write_text(NESTED)
-    (tmp_path / "origins_of_mine.py").write_text(CANDIDATE)
+    (here / "nested.toml").write_text(NESTED)
+    (here / "origins_of_mine.py").write_text(CANDIDATE)
     assert main(["rays", "nested.toml", "--bounces", "1", "-o", "rays"]) == 0
 
     def judge(*more, spawned="rays/bounce-1.npz"):
@@ -59,7 +58,7 @@ def test_rays_that_start_too_far_skip_the_inner_of_two_spheres_as_spawn_ray_does
     rays["rays"][:, :3] += 1e-3 * rays["rays"][:, 3:6]
     np.savez("far.npz", rays=rays["rays"], parent=rays["parent"])
     code, text = judged("--out", "out", "--json", "found.json", spawned="far.npz")
-    found = json.loads((tmp_path / "found.json").read_text())
+    found = json_of(tmp_path / "found.json")
     assert code == 1 and "skipped surface (shape-1, prim 0)" in text
     assert found["skipped surface"] == found["rays"] / 2 == len(found["wrong"])
     assert max(map(len, text.splitlines())) <= 80
@@ -67,7 +66,7 @@ def test_rays_that_start_too_far_skip_the_inner_of_two_spheres_as_spawn_ray_does
     # the reproducer: one ray, the parent, which shows the same again
     (file,) = Path("out").glob("nested.spawned-origin.*.toml")
     assert main(["validate", str(file), "--bounces", "1", "--out", "again", "-j", "1"]) == 0
-    checks = {c["name"]: c for c in json.loads(Path("again/verdict.json").read_text())["scenes"][1]["checks"]}
+    checks = {c["name"]: c for c in json_of("again/verdict.json")["scenes"][1]["checks"]}
     assert "1 skipped surface" in checks["reference_origins"]["what"]
     assert "no error" in checks["spawned_origins"]["what"]
     (again,) = Path("again").glob("*.spawn-ray.0.toml")
@@ -88,18 +87,18 @@ def test_files_of_spawned_rays_that_cannot_be_judged(judged):
         ("miss", 5, "nothing judged"),
     ):
         found, text = judged(spawned=f"{name}.npz")
-        assert found == code and words in " ".join(text.split())
+        assert found == code and words in unfolded(text)
 
 
 def test_a_sweep_counts_the_errors_of_every_rule(judged, tmp_path, capsys):
     assert main(["stress", "spawn-gap", "--rays", "8", "--json", "sweep.json"]) == 0
-    (sweep,) = json.loads((tmp_path / "sweep.json").read_text())["families"]
+    (sweep,) = json_of(tmp_path / "sweep.json")["families"]
     rules = {setting["x"]: setting["rules"] for setting in sweep["settings"]}
     skipped = [rules[4e-5][name]["counts"]["skipped surface"] for name in ("mitsuba", "constant")]
     assert skipped == [rules[4e-5]["ours"]["counts"]["rays"] / 2] * 2
     assert rules[4e-5]["ours"]["wrong"] == rules[0.1]["mitsuba"]["wrong"] == 0
     assert main(["stress", "spawn-gap", "--rays", "4", "--spawn", "origins_of_mine:far", "--out", "kept"]) == 1
-    assert "candidate: 4 skipped surface" in " ".join(capsys.readouterr().out.split()) and list(Path("kept").iterdir())
+    assert "candidate: 4 skipped surface" in unfolded(capsys.readouterr().out) and list(Path("kept").iterdir())
     for name, code, words in (("flat", 1, "expected origins of shape"), ("none", 2, "origins_of_mine has no 'none'")):
         assert main(["stress", "spawn-gap", "--rays", "4", "--spawn", f"origins_of_mine:{name}"]) == code
-        assert words in " ".join("".join(capsys.readouterr()).split())
+        assert words in unfolded("".join(capsys.readouterr()))

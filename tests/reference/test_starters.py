@@ -16,24 +16,23 @@ TOOLS = {"python": "sh", "c": "cc", "rust": "rustc", "javascript": "node"}
 @pytest.mark.parametrize("name", LANGUAGES)
 @pytest.mark.slow("each compiles a program", keep=2)
 @pytest.mark.usefixtures("remembered")
-def test_it_passes_as_written(name, tmp_path, monkeypatch, capsys):
+def test_it_passes_as_written(name, here, monkeypatch, capsys):
     if shutil.which(TOOLS[name]) is None:
         pytest.skip(f"not on this machine: {TOOLS[name]}")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(here)
     assert main(["init", name]) == 0
     language, written = LANGUAGES[name], capsys.readouterr().out
-    assert all((tmp_path / file).is_file() for file in re.findall("wrote (.*)", written))
+    assert all((here / file).is_file() for file in re.findall("wrote (.*)", written))
     if language.build:
         subprocess.run(language.build, shell=True, check=True)
     option, _, command = language.candidate.partition(" ")
     assert main(["validate", "scene.toml", option, command.strip("'")]) == 0
     assert "PASS" in capsys.readouterr().out
-    steps = yaml.safe_load((tmp_path / ".github/workflows/judge.yml").read_text())["jobs"]["judge"]["steps"]
+    steps = yaml.safe_load((here / ".github/workflows/judge.yml").read_text())["jobs"]["judge"]["steps"]
     commands = [step["run"] for step in steps if "run" in step]
     _, first, _ = commands
     assert first.startswith(f"{language.build} && mitsuba-ref " if language.build else "mitsuba-ref ")
-    readme = (tmp_path / "README.md").read_text()
+    readme = (here / "README.md").read_text()
     assert all(each.split(" --junit")[0] in readme for each in commands[1:])
     assert not re.search("BUILD|CANDIDATE|SOURCE", readme + " ".join(commands))
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from edited_tree import DEADLINE, LONG_CHECKS, ROOT, copy_tree, edit
 from programs import printed_by
+from told import unfolded
 
 from caster.image.exr import read_exr
 from mitsuba_ref.__main__ import main
@@ -49,7 +50,7 @@ def scenes(tmp_path):
     folder = tmp_path / "scenes"
     folder.mkdir()
     for name, z in (("ball", 0.3), ("empty-1", 17.0), ("empty-2", 19.0), ("other", -0.7)):
-        (folder / f"{name}.toml").write_text(CAMERA + BALL.format(z=z), encoding="utf-8")
+        (folder / f"{name}.toml").write_text(CAMERA + BALL.format(z=z))
     return folder
 
 
@@ -85,7 +86,7 @@ def test_a_folder_is_judged_in_order_and_an_expression_chooses(ref, scenes):
 def test_bad_usage_is_reported_before_any_work(ref, scenes, words, code, says):
     found = ref("validate", scenes, *(word.format(folder=scenes) for word in words))
     assert (found.returncode, found.stdout) == (code, "")
-    assert says in " ".join(found.stderr.split())
+    assert says in unfolded(found.stderr)
 
 
 def test_a_folder_without_scenes_is_no_pass(ref, tmp_path):
@@ -95,12 +96,12 @@ def test_a_folder_without_scenes_is_no_pass(ref, tmp_path):
 def test_scenes_that_cannot_be_used_are_rows_beside_the_others(ref, scenes):
     for failing in scenes.glob("empty-*.toml"):  # whose exit code, 1, would go before
         failing.unlink()
-    (scenes / "bad-1.toml").write_text(CAMERA + "foov = 3\n", encoding="utf-8")
-    (scenes / "bad-2.toml").write_text(CAMERA + BALL.format(z=0.0) + "radios = 1\n", encoding="utf-8")
+    (scenes / "bad-1.toml").write_text(CAMERA + "foov = 3\n")
+    (scenes / "bad-2.toml").write_text(CAMERA + BALL.format(z=0.0) + "radios = 1\n")
     found = ref("validate", scenes)
     assert found.returncode == 2
     assert re.findall(r"^FAIL  (bad-\d)", found.stdout, re.MULTILINE)[:2] == ["bad-1", "bad-2"]
-    assert "bad-1.toml:9:1:" in found.stdout and "radios is an unknown key" in " ".join(found.stdout.split())
+    assert "bad-1.toml:9:1:" in found.stdout and "radios is an unknown key" in unfolded(found.stdout)
     assert len(re.findall(r"^PASS", found.stdout, re.MULTILINE)) == len(list(scenes.glob("*.toml"))) - 2
 
 

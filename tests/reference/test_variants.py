@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mitsuba_scenes import has_t, job, shape, write
+from told import unfolded
 
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, Installation
@@ -266,7 +267,7 @@ def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypa
     Path(libraries[0]).unlink()  # so that they are tried again
     trials.says.update({("llvm_ad_rgb", library): "SIGABRT" for library in libraries})
     variants.require_variants()
-    line = " ".join(capsys.readouterr().err.split())
+    line = unfolded(capsys.readouterr().err)
     assert line.startswith("llvm_ad_rgb does not work here, scalar_rgb traces all scenes (`mitsuba-ref doctor` ")
     assert f"{libraries[1]}: SIGABRT; {libraries[2]}: SIGABRT" in line
     monkeypatch.setenv(VARIANT_VARIABLE, "scalar_rgb")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from told import json_of
 
 import mitsuba_ref
 from mitsuba_ref.__main__ import main
@@ -37,15 +38,14 @@ exec(code, {{"__name__": "__main__"}})
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(here, monkeypatch):
     """An empty current folder; whatever a command chooses is forgotten afterwards."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MITSUBA_REF_STORE", str(tmp_path / "store"))
+    monkeypatch.setenv("MITSUBA_REF_STORE", str(here / "store"))
     for name in (PYTHON_VARIABLE, AS_IN_FILE_VARIABLE):
         monkeypatch.setenv(name, "")
     interpreter.installation_of.cache_clear()
-    (tmp_path / "ball.toml").write_text(BALL.format("sphere", SIZE))
-    return tmp_path
+    (here / "ball.toml").write_text(BALL.format("sphere", SIZE))
+    return here
 
 
 def program(path: Path, text: str) -> str:
@@ -96,7 +96,7 @@ def test_an_unknown_version_is_judged_named_and_stored_apart(place, capsys):
     out = capsys.readouterr().out
     assert out.count("unknown:    mitsuba 9.9.9: bounds and known defects were measured for") == 1
     assert "kept" not in out.split("unknown:")[0].splitlines()[-1]
-    found = json.loads(Path("v.json").read_text())
+    found = json_of("v.json")
     assert found["unmeasured"] == ["mitsuba 9.9.9"] and found["scenes"][0]["versions"]["mitsuba"] == "9.9.9"
     assert machine() != here and not found["scenes"][0]["kept"]
 
@@ -108,7 +108,7 @@ def test_versions_differ_where_planted_and_the_exact_one_is_nearer(place, capsys
     out = capsys.readouterr().out
     assert max(map(len, out.replace(python, "").splitlines())) <= 80
     assert ("FAIL  ball: only one version passes" in out) == bool(code)
-    found = json.loads(Path("v.json").read_text())
+    found = json_of("v.json")
     (scene,) = found["scenes"]
     (change,) = scene["changes"]  # of t alone
     assert change["quantity"] == "depth" and change["changed"] == scene["verdicts"][0]["hit_pixels"] > 0

@@ -12,6 +12,7 @@ import numpy as np
 import performance_page
 import pytest
 from pages import read_result
+from told import json_of
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring
@@ -187,7 +188,7 @@ FIXED = Run(
 def test_json_brings_the_run_back_and_satisfies_its_schema(tmp_path):
     file = tmp_path / "run.json"
     write_result(FIXED, str(file))
-    data = json.loads(file.read_text())
+    data = json_of(file)
     assert read_result(Run, str(file), "mitsuba-ref bench") == FIXED and data == as_json(FIXED)
     jsonschema.validate(data, result_schema("bench"))
     rows = {one["key"]: one for one in data["scenes"][0]["rows"]}

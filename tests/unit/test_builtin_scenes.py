@@ -1,12 +1,11 @@
 """Built-in scenes, mesh files as scenes, and runs that only new failures fail."""
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from places import ROOT, shipped
+from places import PYPROJECT, ROOT, shipped
 from verdict_factory import scene
 
 from caster.description.errors import SceneError
@@ -28,7 +27,7 @@ FACES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
 
 
 def test_every_file_of_the_set_is_in_the_wheel():
-    data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    data = PYPROJECT["tool"]["setuptools"]["package-data"]
     packed = {path for pattern in data["mitsuba_ref.runner"] for path in BUILTIN.parent.glob(pattern)}
     assert packed == {path for path in BUILTIN.rglob("*") if path.is_file()}
 
@@ -74,8 +73,7 @@ def test_the_camera_of_a_mesh_fits_its_size_and_place(tmp_path, scale, place):
         ("a.xyz", b"0 0 0\n", "unknown scene format"),
     ],
 )
-def test_a_mesh_that_cannot_be_seen_is_an_error_with_its_name(tmp_path, monkeypatch, name, data, message):
-    monkeypatch.chdir(tmp_path)
+def test_a_mesh_that_cannot_be_seen_is_an_error_with_its_name(here, name, data, message):
     Path(name).write_bytes(data)
     with pytest.raises(SceneError, match=f"^{name}: .*{message}"):
         load_scene(name)

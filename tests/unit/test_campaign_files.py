@@ -4,6 +4,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+from told import unfolded
 
 from caster.description.errors import FileMissing, SceneError
 from caster.system.atomic_files import OutputError
@@ -21,12 +22,11 @@ SCENES = '[[job]]\ntype = "scenes"\nscenes = ["{}"]\n'
 
 
 @pytest.fixture
-def units(tmp_path, monkeypatch):
+def units(here):
     """The units of the text of a campaign file."""
-    monkeypatch.chdir(tmp_path)
 
     def found(text):
-        file = tmp_path / "campaign.toml"
+        file = here / "campaign.toml"
         file.write_text(text)
         return units_of(read_campaign(str(file))[0])
 
@@ -155,6 +155,12 @@ def test_keys_change_with_a_candidate_that_is_installed(units, tmp_path, monkeyp
 ABOUT = dict.fromkeys(("code", "git", "campaign"), "x") | {"machine": "{}"}
 
 
+@pytest.fixture
+def history(tmp_path):
+    with History(tmp_path / "h.sqlite", create=True) as history:
+        yield history
+
+
 def finish(history, units, failures=lambda unit: ()):
     """A run of these units, those that are not in the history with these failures; its number, and how many are new."""
     run, found = history.begin(units, ABOUT)
@@ -177,54 +183,52 @@ def with_keys(units, ending):
     return [unit._replace(key=unit.key + ending) for unit in units]
 
 
-def test_a_failure_is_new_once_then_stands_and_is_gone_with_its_fix(units, tmp_path):
+def test_a_failure_is_new_once_then_stands_and_is_gone_with_its_fix(units, history):
     made = units(FUZZ)
     scene = Failure(SUBJECT, "missed", "ours: miss\nexact: hit", 2, "mitsuba-ref probe @scene 0 0", "# one ray")
-    with History(tmp_path / "h.sqlite", create=True) as history:
-        assert finish(history, made) == (1, len(made))
-        assert report_of(history).ok
-        fault = lambda unit: (scene,) if unit is broken[3] else ()  # noqa: E731
-        broken = with_keys(made, "-broken")
-        assert finish(history, broken, fault) == (2, len(made))
-        found = report_of(history)
-        assert not found.ok and [each.unit for each in found.new] == [made[3].name] and not found.gone
-        file = found.new[0].replay.split()[2]
-        assert Path(file).read_text() == "# one ray"
-        text = as_text(found)
-        assert text.index("new failures: 1") < text.index("rays/s") and ", 1 new failure, 0 gone" in text
-        assert "missed (2 in 1 unit): " + made[3].name in " ".join(text.split())
+    assert finish(history, made) == (1, len(made))
+    assert report_of(history).ok
+    fault = lambda unit: (scene,) if unit is broken[3] else ()  # noqa: E731
+    broken = with_keys(made, "-broken")
+    assert finish(history, broken, fault) == (2, len(made))
+    found = report_of(history)
+    assert not found.ok and [each.unit for each in found.new] == [made[3].name] and not found.gone
+    file = found.new[0].replay.split()[2]
+    assert Path(file).read_text() == "# one ray"
+    text = as_text(found)
+    assert text.index("new failures: 1") < text.index("rays/s") and ", 1 new failure, 0 gone" in text
+    assert "missed (2 in 1 unit): " + made[3].name in unfolded(text)
 
-        worse = with_keys(made, "-worse")
-        finish(history, worse, lambda unit: (scene,) if unit in (worse[3], worse[4]) else ())
-        found = report_of(history)
-        assert [each.unit for each in found.new] == [made[4].name] and [each.unit for each in found.standing] == [
-            made[3].name
-        ]
-        assert finish(history, made) == (4, 0), "the results of the first run are found again"
-        found = report_of(history)
-        assert found.ok and {each.unit for each in found.gone} == {made[3].name, made[4].name}
-        assert [point.failing for point in found.trends["ours fuzz edges"]] == [
-            0,
-            *[sum(unit.group == "ours fuzz edges" for unit in each) for each in ([made[3]], made[3:5])],
-            0,
-        ]
-        assert found.runs[-1].computed == 0 and finish(history, made) == (4, 0), "the same run goes on"
+    worse = with_keys(made, "-worse")
+    finish(history, worse, lambda unit: (scene,) if unit in (worse[3], worse[4]) else ())
+    found = report_of(history)
+    assert [each.unit for each in found.new] == [made[4].name] and [each.unit for each in found.standing] == [
+        made[3].name
+    ]
+    assert finish(history, made) == (4, 0), "the results of the first run are found again"
+    found = report_of(history)
+    assert found.ok and {each.unit for each in found.gone} == {made[3].name, made[4].name}
+    assert [point.failing for point in found.trends["ours fuzz edges"]] == [
+        0,
+        *[sum(unit.group == "ours fuzz edges" for unit in each) for each in ([made[3]], made[3:5])],
+        0,
+    ]
+    assert found.runs[-1].computed == 0 and finish(history, made) == (4, 0), "the same run goes on"
 
 
-def test_a_unit_that_the_last_run_did_not_reach_is_compared_with_the_one_before(units, tmp_path):
+def test_a_unit_that_the_last_run_did_not_reach_is_compared_with_the_one_before(units, history):
     made = units(FUZZ)
     failing = lambda unit: (Failure(SUBJECT, "t", "off"),)  # noqa: E731
-    with History(tmp_path / "h.sqlite", create=True) as history:
-        finish(history, made, failing)
-        later = with_keys(made, "-later")
-        run, _ = history.begin(later, ABOUT)
-        history.record(run, later[0], Result(later[0].key, 1))
-        history.end(run, "budget")
-        finish(history, with_keys(made, "-last"), failing)
-        assert [each.unit for each in report_of(history).new] == [made[0].name]
+    finish(history, made, failing)
+    later = with_keys(made, "-later")
+    run, _ = history.begin(later, ABOUT)
+    history.record(run, later[0], Result(later[0].key, 1))
+    history.end(run, "budget")
+    finish(history, with_keys(made, "-last"), failing)
+    assert [each.unit for each in report_of(history).new] == [made[0].name]
 
 
-def test_wrong_answers_of_the_reference_come_once_a_case_with_the_smallest_scene(units, tmp_path):
+def test_wrong_answers_of_the_reference_come_once_a_case_with_the_smallest_scene(units, history):
     made = units(FUZZ)
     sizes = {unit.key: 99 - i for i, unit in enumerate(made)}
 
@@ -232,19 +236,17 @@ def test_wrong_answers_of_the_reference_come_once_a_case_with_the_smallest_scene
         text = "#" * sizes[unit.key]
         return (Failure(REFERENCE, "case 3: a cap", "Mitsuba is wrong", 4, "mitsuba-ref probe @scene 0 0", text),)
 
-    with History(tmp_path / "h.sqlite", create=True) as history:
-        finish(history, made, failures)
-        found = report_of(history)
+    finish(history, made, failures)
+    found = report_of(history)
     (case,) = found.defects
     assert found.ok and (case.units, case.times) == (len(made), 4 * len(made))
     assert Path(case.replay.split()[2]).read_text() == "#" * min(sizes.values())
 
 
-def test_the_page_needs_no_other_file_and_no_text_ends_it(units, tmp_path):
+def test_the_page_needs_no_other_file_and_no_text_ends_it(units, history):
     made = units(FUZZ.replace("30", "300"))
-    with History(tmp_path / "h.sqlite", create=True) as history:
-        finish(history, made, lambda unit: (Failure(SUBJECT, unit.key, "</pre><script>"),))
-        page = as_html(report_of(history))
+    finish(history, made, lambda unit: (Failure(SUBJECT, unit.key, "</pre><script>"),))
+    page = as_html(report_of(history))
     assert "<svg" in page and "<polyline" in page and "</pre><script>" not in page and "&lt;script&gt;" in page
     assert "http" not in page and "src=" not in page and f"and {len(made) - LISTED} more" in page
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import SHIPPED, scene_of
+from marks import each_shipped_scene
+from places import scene_of
 
 import caster
 from caster.geometry.packing import pack, packed
@@ -20,7 +21,7 @@ from mitsuba_ref.subjects.subject import checked_answer, scene_as_traced
 NUMBERS = ("vertices", "faces", "center", "radius", "to_world", "to_object", "point")
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+@each_shipped_scene
 @pytest.mark.slow("every shipped scene", every=3)
 def test_the_traced_scene_packs_to_the_traced_numbers_without_any_rounding(path, tmp_path):
     scene = load_scene(path)

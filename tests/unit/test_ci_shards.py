@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from told import json_of
 from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
@@ -35,12 +36,11 @@ NAMES = ("a", "b", "c", "d")
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """1.json and 2.json, the two shards of a run of four scenes that pass."""
-    monkeypatch.chdir(tmp_path)
     write("1.json", shard("1/2", "a", "c"))
     write("2.json", shard("2/2", "b", "d"))
-    return tmp_path
+    return here
 
 
 def shard(which, *names, left=(), ok=True, **more):
@@ -132,7 +132,7 @@ def test_what_are_not_parts_of_one_run_are_not_put_together(folder, capsys, othe
 
 
 def test_a_file_that_is_no_verdict_is_reported(folder, capsys):
-    good = json.loads((folder / "2.json").read_text())
+    good = json_of(folder / "2.json")
     for content, says in (
         ("", "not a whole verdict: Expecting value"),
         ("[1]", "expected a verdict of format"),
@@ -159,7 +159,7 @@ def test_a_verdict_comes_back_from_json_as_it_was(tmp_path):
         assert read_verdict(tmp_path / "v.json") == whole
 
 
-def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs(tmp_path):
+def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs():
     part = (1, 2)
     first, again = (run_identity([SceneEntry("a", "scenes/one-sphere.toml")], part) for _ in range(2))
     assert first == again and first["selected"] == ("a",)

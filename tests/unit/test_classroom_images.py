@@ -142,9 +142,8 @@ def test_shadows_fall_where_they_are_requested(tmp_path):
     assert 40 < darker.sum() < 200 and lit[darker].min() > 0.0 and cast[darker].max() == 0.0
 
 
-def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    course_of(tmp_path, SPHERE, rest=LAMP + FAINT)
+def test_the_command_writes_its_images_and_lists_what_it_left_out(here, monkeypatch, capsys):
+    course_of(here, SPHERE, rest=LAMP + FAINT)
     words = "-input s.txt -size 30 20 -output o.png -depth -2 12 d.tga -normals n.png"
     assert main(["6837", *words.split()]) == 0
     said = capsys.readouterr()
@@ -175,9 +174,8 @@ def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monk
         ("-input s.txt -output o.png -size 0 4", 2, "-size 0 4: film: width must be >= 1, got 0"),
     ],
 )
-def test_wrong_use_is_reported_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
-    monkeypatch.chdir(tmp_path)
-    course_of(tmp_path, SPHERE)
+def test_wrong_use_is_reported_with_its_exit_code(here, capsys, words, code, says):
+    course_of(here, SPHERE)
     assert main(["6837", *words.split()]) == code
     assert says in capsys.readouterr().err
-    assert not (tmp_path / "o.png").exists()
+    assert not (here / "o.png").exists()

@@ -27,12 +27,11 @@ def output_of(command):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here, monkeypatch):
     for file in ("lesson.toml", "lesson.txt", "student.py", "check.py"):
-        (tmp_path / file).write_text(as_shown(file))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    yield tmp_path
+        (here / file).write_text(as_shown(file))
+    monkeypatch.syspath_prepend(here)
+    yield here
     sys.modules.pop("student", None)
 
 
@@ -76,7 +75,7 @@ def test_both_scenes_are_the_same(folder):
     assert list(ours.shapes) == plain
 
 
-def test_its_commands_run(folder, capsys):
+def test_its_commands_run(folder):
     commands = re.findall(r"(?m)^    (caster (?:render|preview) lesson.*|caster 6837 -input lesson.*)$", PAGE)
     assert len(commands) == 3
     for command in commands:

@@ -37,18 +37,11 @@ BAD_SCENES = {
 }
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty folder to work in."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def put(folder, text, files=None):
+def put(here, text, files=None):
     if text is not None:
-        (folder / "s.toml").write_text(text)
+        (here / "s.toml").write_text(text)
     for name, content in (files or {}).items():
-        (folder / name).write_bytes(content)
+        (here / name).write_bytes(content)
 
 
 def refused(capsys, code, *argv):
@@ -60,19 +53,19 @@ def refused(capsys, code, *argv):
 
 
 @pytest.mark.parametrize("what", BAD_SCENES)
-def test_a_bad_scene_is_refused_with_its_line_by_every_command(folder, capsys, what):
+def test_a_bad_scene_is_refused_with_its_line_by_every_command(here, capsys, what):
     text, files, code, message = BAD_SCENES[what]
-    put(folder, text, files)
+    put(here, text, files)
     said = refused(capsys, code, "render", "s.toml")
     assert said.startswith("s.toml" + message)
     assert refused(capsys, code, "probe", "s.toml", "0", "0") == said
     assert main(["check", "s.toml"]) == code and capsys.readouterr().out.split() == said.split()
-    assert not (folder / "s.exr").exists()
+    assert not (here / "s.exr").exists()
 
 
-def test_check_reports_all_errors_of_all_files(folder, capsys):
-    put(folder, CAMERA + "fov = 0\n" + SPHERE + "radius = -1\n")
-    (folder / "good.toml").write_text(CAMERA)
+def test_check_reports_all_errors_of_all_files(here, capsys):
+    put(here, CAMERA + "fov = 0\n" + SPHERE + "radius = -1\n")
+    (here / "good.toml").write_text(CAMERA)
     assert main(["check", "s.toml", "good.toml", "no.toml"]) == 2
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(": ")[0] for line in lines if ".toml" in line] == [
@@ -100,10 +93,10 @@ def test_check_reports_all_errors_of_all_files(folder, capsys):
     ],
     ids=" ".join,
 )
-def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, message):
-    put(folder, CAMERA + SPHERE)
+def test_a_wrong_option_is_2_and_nothing_is_written(here, capsys, options, message):
+    put(here, CAMERA + SPHERE)
     assert refused(capsys, 2, "render", "s.toml", *options).startswith(message)
-    assert [path.name for path in folder.iterdir()] == ["s.toml"]
+    assert [path.name for path in here.iterdir()] == ["s.toml"]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +131,7 @@ def test_wrong_usage_is_2_and_states_how_to_call_it(capsys, argv, message):
 # ---- files that cannot be read or written ----
 
 
-def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_rendered(folder, capsys, monkeypatch):
-    put(folder, CAMERA + SPHERE)
+def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_rendered(here, capsys, monkeypatch):
+    put(here, CAMERA + SPHERE)
     monkeypatch.setattr("caster.rendering.images.trace_film", None)  # calling it would end with 70
     refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")

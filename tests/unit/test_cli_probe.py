@@ -44,14 +44,8 @@ FIELDS = {
 }
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def write(folder, camera="pinhole"):
-    (folder / "s.toml").write_text(SCENE.format(camera=camera))
+def write(here, camera="pinhole"):
+    (here / "s.toml").write_text(SCENE.format(camera=camera))
     return caster.load_scene("s.toml")
 
 
@@ -61,8 +55,8 @@ def probed(capsys, x, y, *options):
 
 
 @pytest.mark.parametrize("camera", ["pinhole", "orthographic", "fisheye", "panorama"])
-def test_every_pixel_has_the_bits_of_render(folder, camera):
-    scene = write(folder, camera)
+def test_every_pixel_has_the_bits_of_render(here, camera):
+    scene = write(here, camera)
     images = caster.render(scene, ("depth", *FIELDS.values()))
     assert images.hit.any() and images.hit.all() == (camera == "orthographic")  # which looks at the plane
     for y, x in [*np.ndindex(images.hit.shape)][::5]:
@@ -73,8 +67,8 @@ def test_every_pixel_has_the_bits_of_render(folder, camera):
             assert np.float32(hit["t"]) == np.float32(images["depth"][y, x])  # d is of length 1 to an ulp
 
 
-def test_the_numbers_of_json_are_exact(folder, capsys):
-    scene = write(folder)
+def test_the_numbers_of_json_are_exact(here, capsys):
+    scene = write(here)
     found, expected = probed(capsys, 7, 3), trace_film(scene.with_pixel(7, 3))
     o, d = (vectors[0].tolist() for vectors in expected.rays[:2])
     assert found["ray"] == {"o": o, "d": d, "t_min": 0.0, "t_max": None}
@@ -86,8 +80,8 @@ def test_the_numbers_of_json_are_exact(folder, capsys):
     assert found["tried"] == {"prims": 14, "shapes": 3}
 
 
-def test_the_text_shows_ray_hit_and_near_primitives(folder, capsys):
-    scene = write(folder)
+def test_the_text_shows_ray_hit_and_near_primitives(here, capsys):
+    scene = write(here)
     t, prim = (each[0] for each in trace_film(scene.with_pixel(7, 3)).nearest[:2])
     assert main(["probe", "s.toml", "7", "3"]) == 0
     said = capsys.readouterr().out
@@ -98,15 +92,15 @@ def test_the_text_shows_ray_hit_and_near_primitives(folder, capsys):
     assert said.index('shapes[2] (cube "box"), prim') < said.index('shapes[0] (sphere "ball"), prim 0')
 
 
-def test_a_miss_is_stated_and_no_failure(folder, capsys):
-    write(folder)
+def test_a_miss_is_stated_and_no_failure(here, capsys):
+    write(here)
     assert main(["probe", "s.toml", "0", "0"]) == 0
     assert "miss   nothing lies on this ray\n" in capsys.readouterr().out
     assert probed(capsys, 0, 0)["hit"] is None
 
 
-def test_a_pixel_without_a_ray_is_stated_to_have_none(folder, capsys):
-    write(folder, "fisheye")
+def test_a_pixel_without_a_ray_is_stated_to_have_none(here, capsys):
+    write(here, "fisheye")
     assert main(["probe", "s.toml", "0", "0"]) == 0
     assert "no ray: the pixel lies outside the image circle of the fisheye camera" in capsys.readouterr().out
     found = probed(capsys, 0, 0)
@@ -151,8 +145,8 @@ def single(scene, shape_id, prim_id):
     return scene.model_copy(update={"shapes": [caster.Triangle(vertices=corners)]})
 
 
-def test_each_primitive_answers_as_if_it_stood_alone(folder):
-    (folder / "s.toml").write_text(MESH)
+def test_each_primitive_answers_as_if_it_stood_alone(here):
+    (here / "s.toml").write_text(MESH)
     scene = caster.load_scene("s.toml")
     kinds = set()
     for x, y in ((5, 4), (7, 3), (0, 0)):
@@ -178,8 +172,8 @@ def test_a_ray_through_an_edge_is_decided_by_integers(capsys):
     assert "integers: undecided in float64" in capsys.readouterr().out
 
 
-def test_of_many_primitives_those_that_are_hit_are_shown(folder, capsys):
-    (folder / "s.toml").write_text(MESH.replace("subdivisions = 1", "subdivisions = 4"))
+def test_of_many_primitives_those_that_are_hit_are_shown(here, capsys):
+    (here / "s.toml").write_text(MESH.replace("subdivisions = 1", "subdivisions = 4"))
     found = probed(capsys, 5, 4)
     assert found["tried"]["prims"] == 20 * 4**4 + 3
     assert found["alone"][0].items() >= {k: v for k, v in found["hit"].items() if k in ("t", "prim_id")}.items()

@@ -35,10 +35,9 @@ ALL = ",".join(aov.NAME for aov in AOVS)
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(SCENE)
-    return tmp_path
+def folder(here):
+    (here / "s.toml").write_text(SCENE)
+    return here
 
 
 def render(*options):

@@ -2,10 +2,9 @@
 
 import re
 import sys
-import tomllib
 
 import pytest
-from places import ROOT
+from places import PYPROJECT, ROOT
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli import pages
@@ -14,7 +13,7 @@ DOCS = ROOT / "docs"
 
 
 def test_every_page_is_in_the_wheel():
-    data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    data = PYPROJECT["tool"]["setuptools"]["package-data"]
     packed = {path.resolve() for pattern in data["mitsuba_ref"] for path in (ROOT / "mitsuba_ref").glob(pattern)}
     assert packed >= set(DOCS.rglob("*.md"))
 

@@ -2,17 +2,16 @@
 
 import json
 import re
-import tomllib
 
 import pytest
-from places import ROOT
+from places import PYPROJECT
 
 from caster.cli import installation
 from caster.cli.installation import Finding, Package, find_package
 from mitsuba_ref.cli import doctor as judge_doctor
 from mitsuba_ref.reference.variants import Variants
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PROJECT = PYPROJECT["project"]
 NAMED = {finding.name: finding for finding in installation.report()}
 
 

@@ -7,6 +7,7 @@ import pytest
 from json_paths import holder, paths_of
 from pages import read_result
 from places import ROOT
+from told import json_of
 from verdict_factory import scene, verdict
 
 from caster.description.errors import SceneError
@@ -64,7 +65,7 @@ def test_a_garbled_verdict_is_an_error_of_the_file(tmp_path, capsys, record):
 
 
 def test_a_garbled_benchmark_is_an_error_of_the_file(tmp_path):
-    data = json.loads((ROOT / "docs/internals/performance/run.json").read_text(encoding="utf-8"))
+    data = json_of(ROOT / "docs/internals/performance/run.json")
     data["scenes"] = data["scenes"][:1]
     file, refused = tmp_path / "run.json", 0
     for content in places(data, GARBLED):

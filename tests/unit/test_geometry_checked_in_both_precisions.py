@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import SCENES, SHIPPED, scene_of
+from marks import each_shipped_scene
+from places import SCENES, scene_of
 
 from caster.cameras import Pinhole
 from caster.description.fields import Shape
@@ -90,7 +91,7 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
     assert found.what == f"{what} of shape-0 ({precision})"
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+@each_shipped_scene
 def test_shipped_scenes_keep_far_within_the_bound(path):
     # Of ellipsoids the squares of the axes are compared: products of rounded matrices, with more roundings.
     assert check_geometry(load_scene(path)).ratio <= (0.75 if path.stem == "ellipsoid-clouds" else 0.25)

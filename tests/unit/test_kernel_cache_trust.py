@@ -5,6 +5,7 @@ import re
 import stat
 
 import pytest
+from told import unfolded
 
 from caster.jit import kernel_cache
 from caster.jit.decorators import COMPILATION_LOG
@@ -62,7 +63,7 @@ def test_that_nothing_is_kept_is_stated_once_with_the_way_out(home, capsys):
             COMPILATION_LOG.compiling("a kernel")
     once, said, again = re.split("(?m)^(?=compiled)|^(?=compiling)", capsys.readouterr().err)[1:]
     assert once == again and once.startswith("compiling kernels")
-    assert " ".join(said.split()) == (
+    assert unfolded(said) == (
         f"compiled kernels are not kept: {home / 'caster/kernels'}: other users may write it; remove it, or name "
         "a folder of your own as XDG_CACHE_HOME"
     )

@@ -1,7 +1,6 @@
 """The mutation tool: its operators, and its score for a module with known mutants."""
 
 import ast
-import json
 from pathlib import Path
 
 import pytest
@@ -10,6 +9,7 @@ from mutants.operators import keys_of, mutants_of
 from mutants.page import page, score
 from places import ROOT
 from programs import printed_by
+from told import json_of
 
 MODULE = b'''"""Docstring 1 + 1."""
 __all__ = ["largest"[0:7]]
@@ -113,7 +113,7 @@ def trees(tmp_path_factory) -> dict[str, Path]:
 
 
 def result_in(tree: Path) -> dict:
-    return json.loads((tree.with_name(f"{tree.name}-out") / "campaign.json").read_text())
+    return json_of(tree.with_name(f"{tree.name}-out") / "campaign.json")
 
 
 @campaigns

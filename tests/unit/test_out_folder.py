@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+from told import json_of
 from verdict_factory import scene as made
 
 from caster.system.terminal import ProgressBar
@@ -15,8 +16,7 @@ from mitsuba_ref.runner import many_scenes, validation_run
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
 
 
-def test_an_interrupted_run_has_its_own_verdict_and_spares_what_others_wrote(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_an_interrupted_run_has_its_own_verdict_and_spares_what_others_wrote(here, monkeypatch):
     for folder in ("scenes", "out"):
         Path(folder).mkdir()
     for name in "ab":
@@ -36,7 +36,7 @@ def test_an_interrupted_run_has_its_own_verdict_and_spares_what_others_wrote(tmp
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
     monkeypatch.setattr(validation_run, "ProgressBar", Bar)
     assert main(["validate", "scenes", "--out", "out", "-j", "1"]) == 130
-    written = json.loads(Path("out/verdict.json").read_text())
+    written = json_of("out/verdict.json")
     assert [scene["name"] for scene in written["scenes"]] == ["a"] and written["not_judged"] == ["b"]
     assert Path("out/b.ours.exr").exists() and Path("out/notes.txt").exists()
 

@@ -40,10 +40,9 @@ intensity = [9, 8, 7]
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(SCENE + LIGHT)
-    return tmp_path
+def folder(here):
+    (here / "s.toml").write_text(SCENE + LIGHT)
+    return here
 
 
 def read_image(path):

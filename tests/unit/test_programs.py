@@ -3,9 +3,9 @@
 import ast
 import os
 import re
-import tomllib
 
 import pytest
+from places import PYPROJECT
 from programs import FOLDER, MAX_LINES, ROOT, python, run_program
 
 PROGRAMS = {path.name: path for path in sorted(FOLDER.glob("*.py"))}
@@ -68,7 +68,7 @@ def misspelt(text):
 @pytest.mark.slow("mypy reads both packages and what they import")
 def test_a_type_checker_finds_what_a_user_misspells_and_nothing_else(tmp_path):
     """Of programs outside of the tree. Once installed, mypy reads a package only if it has a py.typed."""
-    typed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    typed = PYPROJECT["tool"]["setuptools"]["package-data"]
     for package in ("caster", "mitsuba_ref"):
         assert (ROOT / package / "py.typed").exists() and "py.typed" in typed[package]
     expected = {"other.py": {i for i, line in enumerate(OTHER.splitlines(), 1) if "# wrong" in line}}

@@ -187,11 +187,10 @@ def test_a_render_reports_each_of_its_pixels_once(tmp_path, aovs, camera, thread
     assert all(np.array_equal(heard.aovs[name], unheard.aovs[name]) for name in aovs)
 
 
-def test_render_shows_how_far_it_is_on_a_terminal_alone(tmp_path, terminal, monkeypatch, capsys):
+def test_render_shows_how_far_it_is_on_a_terminal_alone(here, terminal, monkeypatch, capsys):
     """Standard output holds the result and nothing else."""
     stream, read = terminal
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(SCENE)
+    (here / "s.toml").write_text(SCENE)
     monkeypatch.setattr("caster.system.terminal.QUIET_SECONDS", 0.0)
     assert main(["render", "s.toml", "--aov", "depth,position"]) == 0  # standard error is a pipe here
     said = capsys.readouterr()

@@ -77,10 +77,9 @@ def test_without_area_is_decided_exactly(tmp_path):
     assert rejected_faces(a_mesh(tmp_path, "".join(rows) + "f 5 6 7\nf 5 6 8\n")) == {"shape-0": 1}
 
 
-def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "m.obj").write_text(QUAD + "v nan 0 0\nf 1 3 5\nf 1 1 1\n" + GOOD)
-    (tmp_path / "s.toml").write_text(
+def test_the_count_is_reported(here, capsys):
+    (here / "m.obj").write_text(QUAD + "v nan 0 0\nf 1 3 5\nf 1 1 1\n" + GOOD)
+    (here / "s.toml").write_text(
         '[film]\nwidth = 4\nheight = 4\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
         '[[shape]]\ntype = "mesh"\nfile = "m.obj"\n'
     )

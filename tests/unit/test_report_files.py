@@ -79,7 +79,7 @@ def test_a_failure_names_the_pixel_in_the_report():
 
 
 def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
-    (tmp_path / "file").write_text("", encoding="utf-8")
+    (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         HtmlReport(tmp_path / "file", 1)
     with pytest.raises(OutputError):

@@ -84,11 +84,10 @@ def test_every_kind_has_an_example():
     assert shown >= {kind for kind, _ in KINDS}
 
 
-def test_the_example_in_python_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_example_in_python_runs(here):
     (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
     exec(code, {})
-    assert len(load_scene(tmp_path / "spheres.toml").shapes) == 3
+    assert len(load_scene(here / "spheres.toml").shapes) == 3
 
 
 def test_limits_and_names_are_those_of_the_code():

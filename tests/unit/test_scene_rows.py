@@ -1,8 +1,7 @@
 """Scenes are loaded when they are judged, and an error of one is its row."""
 
-import json
-
 import pytest
+from told import json_of
 
 import mitsuba_ref.__main__
 from caster.description.errors import SceneError
@@ -76,7 +75,7 @@ def test_any_error_is_a_row_and_the_verdict_is_written(folder, tmp_path, monkeyp
     monkeypatch.setattr(validation_run, "run_identity", lambda *_: {"judged_with": {}})
     out = tmp_path / "verdict.json"
     assert mitsuba_ref.__main__.main(["validate", str(folder), "-j", "2", "--json", str(out)]) == code
-    rows = {row["name"]: row for row in json.loads(out.read_text())["scenes"]}
+    rows = {row["name"]: row for row in json_of(out)["scenes"]}
     assert len(rows) == 30 and {name for name, row in rows.items() if not row["ok"]} == {"s02", *failing}
     assert "s02.toml:1:6: not valid TOML" in rows["s02"]["problem"]
     assert all(rows[name]["problem"].startswith(ERRORS[name][1]) for name in failing)

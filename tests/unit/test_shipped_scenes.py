@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jsonschema
 import numpy as np
-import pytest
+from marks import each_shipped_scene
 from places import SCENES, SHIPPED
 
 from caster.aovs import BY_NAME
@@ -15,8 +15,6 @@ from caster.scene.files import load_scene, scene_schema
 from caster.scene.model import Scene
 
 SIDE = 32  # pixels
-
-warm_up_scenes = pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 
 
 @functools.cache
@@ -33,7 +31,7 @@ def purpose_of(path: Path) -> str:
     return path.read_text(encoding="utf-8").partition("\n")[0]
 
 
-@warm_up_scenes
+@each_shipped_scene
 def test_the_first_line_is_a_comment_of_one_sentence(path):
     purpose = purpose_of(path)
     assert purpose.startswith("# ") and len(purpose.split()) > 4
@@ -41,13 +39,13 @@ def test_the_first_line_is_a_comment_of_one_sentence(path):
     assert len(purpose) <= 110
 
 
-@warm_up_scenes
+@each_shipped_scene
 def test_a_scene_satisfies_the_published_schema(path):
     errors = validator().iter_errors(tomllib.loads(path.read_text(encoding="utf-8")))
     assert [f"{error.json_path}: {error.message}" for error in errors] == []
 
 
-@warm_up_scenes
+@each_shipped_scene
 def test_a_scene_shows_something_and_no_nan(path):
     scene = scene_of(path)
     aovs = render(scene.with_film(width=SIDE, height=SIDE), tuple(BY_NAME))

@@ -101,7 +101,7 @@ def test_a_closed_standard_output_is_no_error(words, tmp_path):
     assert done.returncode == 0 and b"Traceback" not in done.stderr, done.stderr
 
 
-def test_an_ignored_signal_stays_ignored(monkeypatch):
+def test_an_ignored_signal_stays_ignored():
     """nohup starts a command with SIGHUP ignored."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

@@ -1,13 +1,13 @@
 """A verdict of equal inputs is taken from the store and marked; anything else is judged again."""
 
 import hashlib
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from places import ROOT
+from told import json_of
 from verdict_factory import scene as made
 
 from caster.scene.files import load_scene
@@ -19,10 +19,9 @@ BALL = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shap
 
 
 @pytest.fixture
-def judged(tmp_path, monkeypatch):
+def judged(here, monkeypatch):
     """Three scenes, and a judge that is made up; run(...) gives the names of those that were judged."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv(store.STORE_VARIABLE, str(tmp_path / "store"))
+    monkeypatch.setenv(store.STORE_VARIABLE, str(here / "store"))
     Path("scenes").mkdir()
     for i, name in enumerate("abc"):
         Path(f"scenes/{name}.toml").write_text(BALL.format(1 + i))
@@ -37,7 +36,7 @@ def judged(tmp_path, monkeypatch):
     def run(*words: str, code: int = 0) -> list[str]:
         Path("judged").write_text("")
         assert main(["validate", "scenes", "-j", "1", "--json", "v.json", *words]) == code
-        kept = [scene["name"] for scene in json.loads(Path("v.json").read_text())["scenes"] if scene["kept"]]
+        kept = [scene["name"] for scene in json_of("v.json")["scenes"] if scene["kept"]]
         asked = sorted(Path("judged").read_text().split())
         assert sorted([*kept, *asked]) == ["a", "b", "c"]
         return asked
@@ -87,8 +86,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_whatever_changes_is_another_key(tmp_path, monkeypatch, change):
-    monkeypatch.chdir(tmp_path)
+def test_whatever_changes_is_another_key(here, monkeypatch, change):
     Path("scene.toml").write_text(BALL.format(1))
     before, again = (verdict_files.verdict_key(load_scene("scene.toml"), "scene.toml") for _ in range(2))
     with monkeypatch.context() as patch:
@@ -113,7 +111,7 @@ def test_an_interrupted_run_goes_on_where_it_ended(judged, monkeypatch):
 def test_a_verdict_without_a_comparison_is_not_kept(judged, monkeypatch):
     monkeypatch.setattr(many_scenes, "validate_scene", lambda task, **o: made(task.name, ok=False, problem="x"))
     assert main(["validate", "scenes"]) == main(["validate", "scenes", "--json", "v.json"]) == 1
-    assert not any(scene["kept"] for scene in json.loads(Path("v.json").read_text())["scenes"])
+    assert not any(scene["kept"] for scene in json_of("v.json")["scenes"])
 
 
 def test_what_the_store_holds_in_place_of_a_verdict_is_judged_anew(judged, monkeypatch):

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import stress_page
 from pages import read_result
+from told import json_of, unfolded
 
 import caster
 from mitsuba_ref.__main__ import main
@@ -39,9 +40,8 @@ REFERENCES = ("scalar", "llvm", "llvm-robust")
 
 
 @pytest.fixture(autouse=True)
-def no_mitsuba(monkeypatch, tmp_path):
+def no_mitsuba(monkeypatch, here):
     """An empty folder, and a machine where no variant works: sweeps go on with ours and exact arithmetic."""
-    monkeypatch.chdir(tmp_path)
     nothing = Variants(False, None, "planted: nothing works")
     monkeypatch.setattr(sweeps, "usable_variants", lambda: nothing)
     monkeypatch.setattr(output, "usable_variants", lambda: nothing)
@@ -190,10 +190,10 @@ def test_json_has_the_same_numbers_again_and_brings_the_run_back(tmp_path, capsy
         for family in texts[-1]["families"]:
             family.pop("seconds")
     assert texts[0] == texts[1]
-    jsonschema.validate(json.loads(file.read_text()), result_schema("stress"))
+    jsonschema.validate(json_of(file), result_schema("stress"))
     found = read_result(StressRun, str(file), "mitsuba-ref stress")
     write_result(found, str(tmp_path / "again.json"))
-    assert json.loads((tmp_path / "again.json").read_text()) == json.loads(file.read_text()) == as_json(found)
+    assert json_of(tmp_path / "again.json") == json_of(file) == as_json(found)
 
 
 def test_the_page_is_made_from_the_json_of_a_run(tmp_path, monkeypatch, only):
@@ -202,7 +202,7 @@ def test_the_page_is_made_from_the_json_of_a_run(tmp_path, monkeypatch, only):
     assert main(["stress", "--json", str(file), "--rays", str(RAYS)]) == 0
     monkeypatch.setattr(sys, "argv", ["stress_page.py", str(file), str(tmp_path)])
     stress_page.main()
-    page = " ".join((tmp_path / "stress.md").read_text().split())
+    page = unfolded((tmp_path / "stress.md").read_text())
     assert "In 1 sweeps, 2 settings and 50 rays, 50 of them decided by exact arithmetic" in page
     assert "(stress/tangency.svg)" in page
     words = " ".join(ElementTree.parse(tmp_path / "stress/tangency.svg").getroot().itertext())
@@ -238,7 +238,7 @@ def test_ctrl_c_keeps_what_is_done(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sweeps, "sweep", interrupted)
     out = tmp_path / "out.json"
     assert main(["stress", "offset", "-j", "1", "--rays", str(RAYS), "--json", str(out)]) == 130
-    kept = json.loads(out.read_text())
+    kept = json_of(out)
     assert [family["name"] for family in kept["families"]] == ["offset-mesh"]
     assert kept["requested"] == ["offset-mesh", "offset-sphere"] and not kept["ok"]
     assert "1 of 2 families" in capsys.readouterr().out
@@ -305,13 +305,13 @@ def test_a_wrong_candidate_fails_with_the_first_ray_that_shows_it(name, call, sa
     assert kept.shapes == ready.scene.shapes
 
 
-def test_a_candidate_that_declines_or_raises_is_no_pass(tmp_path, monkeypatch, capsys, only):
+def test_a_candidate_that_declines_or_raises_is_no_pass(here, monkeypatch, capsys, only):
     def raises(scene, o, d):
         raise ZeroDivisionError("by a determinant")
 
     sweep = of_candidate("tangency", raises)
     assert not sweep.ok and "no answer: candidate raised ZeroDivisionError" in sweep.problems[0]
-    (tmp_path / "triangles_alone.py").write_text(
+    (here / "triangles_alone.py").write_text(
         "import caster\n"
         "def cast(scene, o, d):\n"
         "    if any(shape.type != 'mesh' for shape in scene.shapes):\n"
@@ -320,8 +320,7 @@ def test_a_candidate_that_declines_or_raises_is_no_pass(tmp_path, monkeypatch, c
         "    return hits.t, hits.normal\n"
     )
     only(short("sliver", 0, -1), short("tangency", 0, -1))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.syspath_prepend(str(here))
     words = ["--rays", "25", "--candidate", "triangles_alone:cast", "--json", "run.json"]
     for selected, code, said in (
         (["sliver", "tangency"], 1, "they fail the run without --skip-unsupported"),
@@ -329,5 +328,5 @@ def test_a_candidate_that_declines_or_raises_is_no_pass(tmp_path, monkeypatch, c
         (["tangency", "--skip-unsupported"], 5, "nothing judged: the candidate declined every family"),
     ):
         assert main(["stress", *selected, *words]) == code
-        assert said in " ".join("".join(capsys.readouterr()).split())
-        assert json.loads((tmp_path / "run.json").read_text())["ok"] == (code == 0)
+        assert said in unfolded("".join(capsys.readouterr()))
+        assert json_of(here / "run.json")["ok"] == (code == 0)

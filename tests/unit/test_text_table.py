@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import shipped
+from told import unfolded
 from verdict_factory import scene as made
 
 from caster.system.terminal import folded
@@ -71,7 +72,7 @@ def test_a_row_of_scenes_fits_80_columns_and_names_only_classes_that_it_has(coun
     scene = replace(made("n" * LONGEST), counts=dict.fromkeys(CLASSES, 0) | counts)
     lines = [*table_head(LONGEST).splitlines(), *table_row(scene, LONGEST).splitlines()]
     assert max(map(len, lines)) <= 80 and lines[0] == LEGEND
-    text = " ".join(" ".join(lines[2:]).split())
+    text = unfolded(" ".join(lines[2:]))
     for name in CLASSES[1:]:
         words = f"{counts.get(name, 0)} {name.replace('_', ' ')}"
         assert (words in text) == bool(counts.get(name)), (words, text)
@@ -80,7 +81,7 @@ def test_a_row_of_scenes_fits_80_columns_and_names_only_classes_that_it_has(coun
 POINT = r"\((?:-?[\d.]+, ){2}-?[\d.]+\)"
 
 
-def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):
+def test_a_scene_that_nothing_hits_says_where_its_shapes_are():
     scene = shipped("one-sphere", 4, 3)
     away = scene.model_copy(update={"camera": scene.camera.model_copy(update={"look_at": (0.0, 0.0, 99.0)})})
     text = failure_text(
@@ -88,7 +89,7 @@ def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):
             Task(away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o)))
         )
     )
-    words = " ".join(text.split())
+    words = unfolded(text)
     where = rf"the shapes lie between {POINT} and {POINT}; the ray in the middle starts at {POINT}"
     assert "no pixel hits anything" in text and re.search(where, words), text
 
@@ -108,7 +109,7 @@ def test_printed_lines_fit_80_columns_but_for_commands_and_paths_and_keep_every_
         ]
     )
     lines = folded(text).splitlines()
-    assert " ".join(folded(text).split()) == " ".join(text.split())
+    assert unfolded(folded(text)) == unfolded(text)
     assert [line.strip() for line in lines if len(line) > 80] == [
         path,
         f"replay:    {command}",

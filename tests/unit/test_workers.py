@@ -1,7 +1,6 @@
 """A scene whose process ends is a failing row; the other scenes are judged, and every file is written."""
 
 import ctypes
-import json
 import os
 import signal
 import tempfile
@@ -11,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from told import json_of, unfolded
 from verdict_factory import scene as made
 
 from caster.system.cluster import CallEnded
@@ -39,9 +39,8 @@ ENDS = {
 }
 
 
-def test_every_end_is_a_row_and_the_rest_is_judged(tmp_path, monkeypatch, capsys):
+def test_every_end_is_a_row_and_the_rest_is_judged(here, monkeypatch, capsys):
     """Scenes named after how they end, two of which pass."""
-    monkeypatch.chdir(tmp_path)
     Path("scenes").mkdir()
     for name in ("a", *ENDS, "z"):
         Path(f"scenes/{name}.toml").write_text(SCENE)
@@ -54,8 +53,8 @@ def test_every_end_is_a_row_and_the_rest_is_judged(tmp_path, monkeypatch, capsys
     monkeypatch.setattr("mitsuba_ref.runner.validation_run.CALL_TIMEOUTS", 1.0 / DEFAULT_TIMEOUT)
     words = ["--json", "v.json", "--junit", "j.xml", "--html", "report"]
     assert main(["validate", "scenes", "-j", "3", *words]) == 1
-    out = " ".join(capsys.readouterr().out.split())
-    found = {scene["name"]: scene for scene in json.loads(Path("v.json").read_text())["scenes"]}
+    out = unfolded(capsys.readouterr().out)
+    found = {scene["name"]: scene for scene in json_of("v.json")["scenes"]}
     assert list(found) == sorted(("a", *ENDS, "z"))
     assert found["a"]["ok"] and found["z"]["ok"]
     for name, (_, problem) in ENDS.items():
