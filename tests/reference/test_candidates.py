@@ -22,7 +22,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.aggregate import NEVER_GIVEN
 from mitsuba_ref.judge.pipeline import Task
-from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, SceneCheck, SceneVerdict, TIE, Verdict, WRONG
+from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, WRONG, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.report.builtin_scenes import scene_path
 from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
