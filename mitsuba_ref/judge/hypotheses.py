@@ -270,8 +270,8 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
         )
         return
     yield Mistake(
-        "t has the rounding of a point's coordinates, as (p - o) . d / d . d has",
-        "return the t of the intersection, not that of the hit point",
+        "t has the rounding of coordinates, as that of a hit point p, (p - o) . d / d . d, or a plane N . p = c has",
+        "return the t of the intersection, from differences to the ray's origin",
         of_points,
         # where few are wrong, the others show it, too
         SURFACES if len(f.rows) < (1.0 - NEARLY_ALL) * f.judge.hit.sum() else NOTHING,

@@ -48,14 +48,21 @@ def on_plane(t: Array, moved: Array, slope: Array, rho: Array, ku: float) -> tup
 
 
 @without_float_warnings
-def intersect(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
-    """Intersections of ray i with triangle k[i], from its plane and its three edge functions."""
+def intersect(
+    prims: Any, k: Array, o: Array, d: Array, ku: float, *, dependent: bool = False
+) -> tuple[Intersections, ...]:
+    """Intersections of ray i with triangle k[i], from its plane and its three edge functions.
+
+    dependent: the third edge function is what the others leave, and has their errors; it may be any of the three.
+    """
     corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
     o, d = by_columns(o), by_columns(d)
     a, b, c = (corner - o for corner in corners)
     across = cross(corners[1] - corners[0], corners[2] - corners[0])  # b - a would carry the rounding of o
     area = norm(across)
     edges, edge_errors = _edge_functions(a, b, c, d, ku)
+    if dependent:
+        edge_errors[:] = edge_errors.sum(axis=1)[:, None]
     total = edges.sum(axis=1)
     weights = edges / total[:, None]
     n = across / area[:, None]
@@ -85,15 +92,18 @@ def intersect_ours(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple
 
 @without_float_warnings
 def intersect_foreign(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tuple[Intersections, ...]:
-    """The same for any algorithm, such as that of Moeller and Trumbore (1997), "Fast, Minimum Storage Ray/Triangle
-    Intersection".
+    """The same for any usual algorithm and any order of the corners.
 
-    It rounds N in the numerator and in the denominator of t = (N . a) / (N . d) by different products, so that the
-    error of N turns into one of t. Only what slivers add to the error is added here.
+    Moeller and Trumbore (1997), "Fast, Minimum Storage Ray/Triangle Intersection", round N in the numerator and in the
+    denominator of t = (N . a) / (N . d) by different products; Woop et al. (2013), "Watertight Ray/Triangle
+    Intersection", round the corners along other axes than the scene's. With either, the error of N becomes one of t.
     """
-    (at,) = intersect_ours(prims, k, o, d, ku)
-    lost = (at.n_error - 2.0 * ku) * np.abs(at.t) * norm(d) / np.abs(dot(at.n, d))
-    return (at._replace(t_error=at.t_error + lost),)
+    (at,) = intersect(prims, k, o, d, ku, dependent=True)
+    a, b, c = (prims.vertices[prims.faces[k, j]] for j in range(3))
+    _, middle, longest = np.sort([norm(b - a), norm(c - b), norm(a - c)], axis=0)
+    slender = ku * (middle * longest / norm(cross(b - a, c - a)) - 1.0)
+    lost = slender * (np.abs(at.t) * norm(d) + longest) / np.abs(dot(at.n, d))
+    return (at._replace(t_error=at.t_error + lost, n_error=at.n_error + slender),)
 
 
 def _barycentric_mean(corners: Sequence[Array], weights: Array, weight_errors: Array, ku: float) -> tuple[Array, Array]:
