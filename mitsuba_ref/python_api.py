@@ -116,6 +116,8 @@ def export_xml(scene: Scene | ScenePath, folder: ScenePath) -> Path:
 
 
 def _entry(name: str, scene: Scene | ScenePath, size: tuple[int, int] | None = None) -> SceneEntry:
+    if size is not None and np.shape(size) != (2,):
+        raise TypeError(f"size: expected (width, height), got {size!r}")
     if isinstance(scene, Scene):
         return SceneEntry(name, "", size, given=scene)
     return SceneEntry(name, builtin_scenes.scene_path(os.fspath(scene)), size)

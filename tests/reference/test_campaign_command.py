@@ -66,7 +66,8 @@ def campaign(here, monkeypatch, capsys, warm, remembered):
         out = unfolded(capsys.readouterr().out)
         return code, out, json_of("told.json") if Path("told.json").exists() else None
 
-    return run
+    yield run
+    sys.modules.pop("mine", None)
 
 
 def rows(file, query):

@@ -117,6 +117,7 @@ def test_only_what_was_compared_has_images(folder):
     [
         (lambda: mitsuba_ref.validate("scene.toml", candidate=42), TypeError, "expected a function.* got 42"),
         (lambda: mitsuba_ref.validate("scene.toml", precision="float32"), TypeError, "expected a candidate beside"),
+        (lambda: mitsuba_ref.validate("scene.toml", size=32), TypeError, "size: expected .width, height., got 32"),
         (lambda: mitsuba_ref.validate(), TypeError, "expected a scene, or builtin='triangles'"),
         (lambda: mitsuba_ref.validate("scene.toml", size=(0, 9)), caster.SceneError, "--size 0 9"),
         (lambda: mitsuba_ref.validate("nothing.toml"), caster.SceneError, "nothing.toml: expected a scene file"),
