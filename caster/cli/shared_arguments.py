@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from argparse import ArgumentTypeError, Namespace, _ActionsContainer
+from argparse import ArgumentTypeError, Namespace
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
@@ -45,6 +45,8 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from argparse import _ActionsContainer
+
     from caster.scene.model import Scene
 
 SCENE_FILE = "a scene file, .toml or .json; or a mesh file: OBJ, PLY, STL, OFF, glTF"

@@ -115,7 +115,7 @@ class ErrorModel(NamedTuple):
     # (prims) -> (m,): the largest distance at which a ray may pass each primitive and be a hit of the reference by its
     # rounding, over |o| + the distance of the primitive from the origin; None: no more than BOX_MARGIN
     growth: Callable[[Any], Array] | None = None
-    intersect_foreign: IntersectFunction | None = None  # with the rounding of any usual algorithm, where that is larger
+    intersect_foreign: IntersectFunction | None = None  # bounds for any usual algorithm; None: those above
 
 
 # Large arrays of vectors (m, 3) are stored column by column: over three neighbours, sums take NumPy four times as long

@@ -33,7 +33,7 @@ class Side(NamedTuple):
 
     ku: float  # K times the unit round-off of its arithmetic
     own: bool = True  # the scene's own primitives, not the reference's stand-ins
-    foreign: bool = False  # any algorithm, such as a candidate's
+    foreign: bool = False  # of an unknown algorithm: a candidate's
 
 
 REFERENCE_SIDE, OUR_SIDE = Side(KU, own=False), Side(KU_OURS)

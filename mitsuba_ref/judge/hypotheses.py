@@ -258,8 +258,8 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     def of_points(g: WrongPixels) -> Array:
         length = norm(g.d)
         rounding = answer.ku * (norm(g.o) + np.abs(g.t) * length) / length
-        told = rounding >= g.at.t_error / MORE_THAN_ROUNDING  # from the rounding of t itself
-        return told & _is_rounding_of_t(g, rounding + g.at.t_error + g.t_rounding) | ~(g.hit | g.given_hit)
+        larger = rounding >= g.at.t_error / MORE_THAN_ROUNDING  # than the rounding of t itself
+        return (larger & _is_rounding_of_t(g, rounding + g.at.t_error + g.t_rounding)) | ~(g.hit | g.given_hit)
 
     if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
         yield Mistake(
@@ -270,7 +270,7 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
         )
         return
     yield Mistake(
-        "t has the rounding of coordinates, as that of a hit point p, (p - o) . d / d . d, or a plane N . p = c has",
+        "t is computed from absolute coordinates: of a hit point, (p - o) . d / d . d, or a plane, N . p = c",
         "return the t of the intersection, from differences to the ray's origin",
         of_points,
         # where few are wrong, the others show it, too

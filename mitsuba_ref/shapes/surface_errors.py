@@ -53,7 +53,7 @@ def intersect(
 ) -> tuple[Intersections, ...]:
     """Intersections of ray i with triangle k[i], from its plane and its three edge functions.
 
-    dependent: the third edge function is what the others leave, and has their errors; it may be any of the three.
+    dependent: one of the edge functions, any of them, is computed from the two others and inherits their errors.
     """
     corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
     o, d = by_columns(o), by_columns(d)
@@ -62,7 +62,7 @@ def intersect(
     area = norm(across)
     edges, edge_errors = _edge_functions(a, b, c, d, ku)
     if dependent:
-        edge_errors[:] = edge_errors.sum(axis=1)[:, None]
+        edge_errors = np.repeat(edge_errors.sum(axis=1)[:, None], 3, axis=1)
     total = edges.sum(axis=1)
     weights = edges / total[:, None]
     n = across / area[:, None]
@@ -97,13 +97,16 @@ def intersect_foreign(prims: Any, k: Array, o: Array, d: Array, ku: float) -> tu
     Moeller and Trumbore (1997), "Fast, Minimum Storage Ray/Triangle Intersection", round N in the numerator and in the
     denominator of t = (N . a) / (N . d) by different products; Woop et al. (2013), "Watertight Ray/Triangle
     Intersection", round the corners along other axes than the scene's. With either, the error of N becomes one of t.
+    The bounds of position and shading normal, which no candidate gives, are not widened.
     """
     (at,) = intersect(prims, k, o, d, ku, dependent=True)
     a, b, c = (prims.vertices[prims.faces[k, j]] for j in range(3))
     _, middle, longest = np.sort([norm(b - a), norm(c - b), norm(a - c)], axis=0)
-    slender = ku * (middle * longest / norm(cross(b - a, c - a)) - 1.0)
-    lost = slender * (np.abs(at.t) * norm(d) + longest) / np.abs(dot(at.n, d))
-    return (at._replace(t_error=at.t_error + lost, n_error=at.n_error + slender),)
+    slender = ku * np.nan_to_num(middle * longest / norm(cross(b - a, c - a)) - 1.0, nan=np.inf)
+    share, steepness = slender * norm(d), np.abs(dot(at.n, d))
+    resolvable = share < UNRESOLVABLE * steepness
+    t_error = np.where(resolvable, at.t_error + (np.abs(at.t) * share + longest * slender) / steepness, np.inf)
+    return (at._replace(t_error=t_error, n_error=at.n_error + slender, certain=at.certain & resolvable),)
 
 
 def _barycentric_mean(corners: Sequence[Array], weights: Array, weight_errors: Array, ku: float) -> tuple[Array, Array]:

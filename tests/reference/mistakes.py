@@ -326,7 +326,7 @@ MISTAKES = [
         SPHERE,
         "computed in float32",
     ),
-    Mistake("t of points", answering(from_points), "far away", "t has the rounding of coordinates"),
+    Mistake("t of points", answering(from_points), "far away", "t is computed from absolute coordinates"),
     Mistake(
         "a few t of fewer digits",
         answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 397 == 7, t * (1.0 + 1e-13), t), n)),

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from edited_tree import ROOT, run
 from mitsuba_scenes import lit_scene, scene_judge
+from outputs import json_of
 from places import shipped
-from told import json_of
 
 import caster
 from caster.aovs import Aovs

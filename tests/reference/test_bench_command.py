@@ -4,8 +4,8 @@ import json
 from dataclasses import replace
 
 import pytest
+from outputs import json_of
 from programs import printed_by
-from told import json_of
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import casters, scenes

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from outputs import json_of
 from places import SCENES
-from told import json_of
 
 import caster
 from mitsuba_ref.__main__ import main

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from told import json_of, unfolded
+from outputs import json_of, unfolded
 
 from mitsuba_ref.__main__ import main
 

@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import pytest
+from outputs import json_of, unfolded
 from places import ROOT, SCENES, shipped
-from told import json_of, unfolded
 
 import caster
 from caster.description.errors import SceneError

@@ -9,8 +9,8 @@ import mistakes
 import numpy as np
 import pytest
 from mitsuba_scenes import scene_judge
+from outputs import json_of
 from places import ROOT, shipped
-from told import json_of
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene

@@ -11,8 +11,8 @@ import candidates
 import numpy as np
 import pytest
 from marks import each_shipped_scene
+from outputs import json_of, unfolded
 from places import ROOT, SHIPPED, shipped
-from told import json_of, unfolded
 
 import caster
 from caster.cameras.single_ray import Ray
@@ -382,3 +382,20 @@ def test_the_peers_pass(page, package):
     exec(code, names)
     trace = names.get("trace_with_our_normals", names["trace"])
     assert judged(trace, small("torus-smooth"), getattr(trace, "precision", None)).ok
+
+
+def test_moeller_and_trumbore_from_the_last_corner_are_right_at_needles():
+    def trace(scene, o, d):
+        o, d, t_hit, n_hit = (*(v.astype(np.float32) for v in (o, d)), np.full(len(o), np.float32(np.inf)), 0.0 * o)
+        for a, b, c in scene.triangles().astype(np.float32):
+            e1, e2, s = a - c, b - c, o - c
+            across, q = np.cross(d, e2), np.cross(s, e1)
+            with np.errstate(all="ignore"):
+                u, v, t = np.array([(s * across).sum(axis=1), (d * q).sum(axis=1), q @ e2]) / (across @ e1)
+            hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < t_hit)
+            t_hit[hit], n_hit[hit] = t[hit], np.cross(e1, e2)
+        return t_hit, n_hit.astype(np.float32)
+
+    needles = load_scene(scene_path("builtin:needles")).with_film(width=32, height=32)
+    found = validate_scene(Task(needles, "needles", subject=FunctionSubject("mine", trace)))
+    assert found.ok and found.counts["agree"] >= 200, failure_text(found)

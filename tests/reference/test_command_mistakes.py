@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from told import unfolded
+from outputs import unfolded
 
 import caster
 from caster.__main__ import main as caster_main

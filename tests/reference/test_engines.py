@@ -12,8 +12,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from outputs import json_of
 from places import ROOT
-from told import json_of
 
 import caster
 from caster.__main__ import main as caster_main

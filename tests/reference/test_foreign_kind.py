@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from coin_scenes import COINS, LAMP, PINHOLE
 from edited_tree import ROOT, edit, ended_well, run_with
+from outputs import json_of
 from programs import install
-from told import json_of
 
 SCENE = "[film]\nwidth = 12\nheight = 9\n" + PINHOLE + LAMP + COINS
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edited_tree import NO_REMARKS
+from outputs import json_of, unfolded
 from places import ROOT
-from told import json_of, unfolded
 
 from caster.rendering import hits, images
 from caster.rendering.casting import find_nearest

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from candidates import ours
+from outputs import json_of, unfolded
 from places import ROOT, shipped
-from told import json_of, unfolded
 
 import mitsuba_ref
 from caster.description.errors import FileMissing, SceneError

@@ -7,8 +7,8 @@ import re
 
 import pytest
 from edited_tree import ROOT, ended_well, run_with, said_beside_progress
+from outputs import unfolded
 from programs import install
-from told import unfolded
 
 SENTENCE = (
     "Tetrahedron has no reference: write mitsuba_ref/shapes/tetrahedron.py and add its line to "

@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
+from outputs import json_of
 from places import ROOT
-from told import json_of
 
 from mitsuba_ref.__main__ import main
 

@@ -5,7 +5,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from told import json_of, unfolded
+from outputs import json_of, unfolded
 
 import caster
 from caster.image.channels import write_render

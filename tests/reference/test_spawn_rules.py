@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from told import json_of, unfolded
+from outputs import json_of, unfolded
 
 from mitsuba_ref.__main__ import main
 

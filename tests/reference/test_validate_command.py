@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from edited_tree import DEADLINE, LONG_CHECKS, ROOT, copy_tree, edit
+from outputs import unfolded
 from programs import printed_by
-from told import unfolded
 
 from caster.image.exr import read_exr
 from mitsuba_ref.__main__ import main

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mitsuba_scenes import has_t, job, shape, write
-from told import unfolded
+from outputs import unfolded
 
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, Installation

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from told import json_of
+from outputs import json_of
 
 import mitsuba_ref
 from mitsuba_ref.__main__ import main

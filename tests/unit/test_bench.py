@@ -11,8 +11,8 @@ import jsonschema
 import numpy as np
 import performance_page
 import pytest
+from outputs import json_of
 from pages import read_result
-from told import json_of
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring

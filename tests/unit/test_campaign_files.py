@@ -4,7 +4,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from told import unfolded
+from outputs import unfolded
 
 from caster.description.errors import FileMissing, SceneError
 from caster.system.atomic_files import OutputError

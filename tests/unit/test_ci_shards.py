@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from told import json_of
+from outputs import json_of
 from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main

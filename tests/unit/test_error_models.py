@@ -179,7 +179,7 @@ def test_bounds_of_candidates_hold_for_the_t_of_moeller_and_trumbore(kind, ku, d
     corners = np.roll(pairs.prims.vertices[pairs.prims.faces[pairs.k]], first, axis=1).transpose(1, 0, 2)
     t, _ = moeller_trumbore(*(a.astype(kind) for a in (*corners, pairs.o, pairs.d)))
     off = np.abs(exactly(t) - met.t)[met.hit].astype(float)
-    assert (off <= at.t_error[met.hit]).all()
+    assert 0.02 < (off / at.t_error[met.hit]).max() <= 1.0
     assert (off > ours.t_error[met.hit]).any() or distances[0] < 1.0
 
 

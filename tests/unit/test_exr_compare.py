@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from told import unfolded
+from outputs import unfolded
 
 from caster.description.errors import SceneError
 from caster.image.exr import write_exr

@@ -5,9 +5,9 @@ import json
 
 import pytest
 from json_paths import holder, paths_of
+from outputs import json_of
 from pages import read_result
 from places import ROOT
-from told import json_of
 from verdict_factory import scene, verdict
 
 from caster.description.errors import SceneError

@@ -5,7 +5,7 @@ import re
 import stat
 
 import pytest
-from told import unfolded
+from outputs import unfolded
 
 from caster.jit import kernel_cache
 from caster.jit.decorators import COMPILATION_LOG

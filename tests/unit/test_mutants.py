@@ -7,9 +7,9 @@ import pytest
 from mutants.campaign import COMPILED_TESTS, END_TO_END, GROUPS, SMALL_AGREEMENT, SMALL_RAYS, TESTS, stale
 from mutants.operators import keys_of, mutants_of
 from mutants.page import page, score
+from outputs import json_of
 from places import ROOT
 from programs import printed_by
-from told import json_of
 
 MODULE = b'''"""Docstring 1 + 1."""
 __all__ = ["largest"[0:7]]

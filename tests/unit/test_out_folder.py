@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from told import json_of
+from outputs import json_of
 from verdict_factory import scene as made
 
 from caster.system.terminal import ProgressBar

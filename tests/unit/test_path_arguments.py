@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from told import unfolded
+from outputs import unfolded
 
 import caster.__main__
 import mitsuba_ref.__main__

@@ -1,7 +1,7 @@
 """Scenes are loaded when they are judged, and an error of one is its row."""
 
 import pytest
-from told import json_of
+from outputs import json_of
 
 import mitsuba_ref.__main__
 from caster.description.errors import SceneError

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from outputs import json_of
 from places import ROOT
-from told import json_of
 from verdict_factory import scene as made
 
 from caster.scene.files import load_scene

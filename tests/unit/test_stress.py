@@ -16,8 +16,8 @@ import jsonschema
 import numpy as np
 import pytest
 import stress_page
+from outputs import json_of, unfolded
 from pages import read_result
-from told import json_of, unfolded
 
 import caster
 from mitsuba_ref.__main__ import main

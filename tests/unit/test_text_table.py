@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from outputs import unfolded
 from places import shipped
-from told import unfolded
 from verdict_factory import scene as made
 
 from caster.system.terminal import folded

@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from told import json_of, unfolded
+from outputs import json_of, unfolded
 from verdict_factory import scene as made
 
 from caster.system.cluster import CallEnded
