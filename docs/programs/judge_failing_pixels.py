@@ -8,5 +8,5 @@ for scene in verdict.scenes:
     print(scene.name, scene.counts, scene.classes.shape)
     for pixel in scene.failing_pixels():
         print(pixel.x, pixel.y, pixel.verdict, pixel.check, pixel.subject, pixel.reference, pixel.bound)
-    difference = scene.images["ours"]["depth"] - scene.images["reference"]["depth"]
-    print(difference[scene.images["ours"].hit].std())
+    depth = {who: image["depth"][scene.images["ours"].hit] for who, image in scene.images.items()}
+    print((depth["ours"] - depth["reference"]).std())
