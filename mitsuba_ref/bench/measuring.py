@@ -70,7 +70,7 @@ def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
 
 
 def score(exact: ExactHits, t: Array, precision: str, *, reference: bool = False, ours: bool = False) -> Score:
-    """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
+    """t: (n,) of a caster along all rays, inf on a miss, by the bounds of a candidate, of Mitsuba or of ours."""
     answer = Answer(t, None, precision, {}, exact_visibility=ours)
     ratio, hits = exact.ratios(answer, REFERENCE_SIDE if reference else answer.side), answer.hit & exact.hit
     spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
